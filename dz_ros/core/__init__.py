@@ -1,0 +1,1 @@
+"""Numbers: dead-zone, plants, trajectories, laws, closed loop. No ROS, file, clock, thread."""

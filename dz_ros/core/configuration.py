@@ -1,0 +1,239 @@
+"""A whole configuration: what runs, with every value checked, made from flat dotted keys.
+
+    loop.rate  plant.model  plant.dead_zone.b_r  controller.lambda  trajectory.kind  …
+
+The same keys are the ROS parameters of the nodes, the keys of the YAML files and those of
+``--set``. In the sections plant, controller and trajectory one key chooses a class (`plant.model`,
+`controller.law`, `trajectory.kind`) and the rest are that class's own parameters. A key that only
+another class of the same section knows is set aside, not refused, so that the law of a file can
+be changed by one word; a key nobody knows is an error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from dz_ros.core import schema
+from dz_ros.core.deadzone import DeadZone
+from dz_ros.core.laws import Law, LAWS
+from dz_ros.core.plants import Plant, PLANTS
+from dz_ros.core.registry import Registry
+from dz_ros.core.schema import parameter
+from dz_ros.core.trajectories import TRAJECTORIES, Trajectory
+from dz_ros.errors import ConfigurationError, UnknownNameError
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """The loop itself."""
+
+    rate: float = parameter(200.0, 'Hz', 'samples per second, 1/T; the paper has T = 0.005 s',
+                            minimum=1.0, maximum=10000.0, structural=True)
+    delay: int = parameter(0, 'samples', 'whole samples by which the actuator applies a command '
+                           'late, on top of what the transport takes', minimum=0, maximum=100,
+                           structural=True)
+    timing: str = parameter('realtime', '', 'realtime: absolute deadlines of the wall; lockstep: '
+                            'as fast as the messages come, stamp = kT', structural=True,
+                            choices=('realtime',))
+    duration: float = parameter(20.0, 's', 'length of a run; 0 = until stopped (a loop of nodes '
+                                'only)', minimum=0.0, structural=True)
+    seed: int = parameter(0, '1', 'seed of everything random', minimum=0, structural=True)
+
+    @property
+    def period(self) -> float:
+        """T [s]."""
+        return 1.0 / self.rate
+
+    @property
+    def samples(self) -> int:
+        """Number of the last sample of a run; samples 0 … this one exist."""
+        return round(self.duration * self.rate)
+
+
+@dataclass(frozen=True)
+class PlantSettings:
+    """What every plant has besides its model's own parameters."""
+
+    model: str = parameter('wang2004', '', 'name of the plant, or package.module:Class',
+                           structural=True)
+    x0: tuple[float, ...] = parameter((), 'state units', "initial state; empty = the model's",
+                                      structural=True)
+    substeps: int = parameter(4, '1', 'RK4 steps in a sample', minimum=1, maximum=1000,
+                              structural=True)
+    noise: tuple[float, ...] = parameter(
+        (0.0,), 'state units', 'standard deviation of the measurement noise of each state, or one '
+        'for all', minimum=0.0, structural=True)
+    command_limit: float = parameter(0.0, 'actuator unit', 'the actuator clips |v| to this; '
+                                     '0 = no limit', minimum=0.0, structural=True)
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """What every controller has besides its law's own gains: the law and the knowledge (A4)."""
+
+    law: str = parameter('wang2004', '', 'name of the law, or package.module:Class',
+                         structural=True)
+    b_r_bounds: tuple[float, ...] = parameter((0.1, 0.6), 'actuator unit',
+                                              'known bounds of b_r (A4)', length=2, minimum=0.0)
+    b_l_bounds: tuple[float, ...] = parameter((-0.7, -0.1), 'actuator unit',
+                                              'known bounds of b_l (A4)', length=2, maximum=0.0)
+    m_bounds: tuple[float, ...] = parameter((0.85, 1.25), '1', 'known bounds of the slope m (A4)',
+                                            length=2, minimum=0.0, open_minimum=True)
+    b_bounds: tuple[float, ...] = parameter((1.0, 1.0), 'input gain unit',
+                                            'known bounds of the input gain b', length=2,
+                                            minimum=0.0, open_minimum=True)
+
+    def check(self, prefix: str) -> None:
+        """Check that lower bounds lie below upper ones.
+
+        Raises:
+            ConfigurationError: They do not.
+        """
+        for name in ('b_r_bounds', 'b_l_bounds', 'm_bounds', 'b_bounds'):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ConfigurationError(f'{prefix}{name}', [low, high],
+                                         'the lower bound must not exceed the upper one')
+
+
+@dataclass(frozen=True)
+class TrajectorySettings:
+    """What every trajectory has besides its own parameters."""
+
+    kind: str = parameter('sinusoid', '', 'name of the trajectory, or package.module:Class',
+                          structural=True)
+
+
+SECTIONS: Mapping[str, tuple[type, Registry | None, str]] = {
+    'loop': (LoopSettings, None, ''),
+    'plant': (PlantSettings, PLANTS, 'Parameters'),
+    'controller': (ControllerSettings, LAWS, 'Gains'),
+    'trajectory': (TrajectorySettings, TRAJECTORIES, 'Parameters'),
+}
+"""Section → (its settings, registry of the classes it chooses from, their parameter group)."""
+
+SELECTORS = {'plant': 'model', 'controller': 'law', 'trajectory': 'kind'}
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A checked configuration, ready to run.
+
+    Attributes:
+        loop, plant_settings, controller_settings: Sections' common settings.
+        dead_zone: The actuator's dead-zone.
+        plant: The plant.
+        law: The law, for this plant's structure and this rate.
+        trajectory: The trajectory, for this plant's order.
+        x0: Initial state, shape (n,).
+        noise: Standard deviations of the measurement noise, shape (n,).
+        set_aside: Keys given that belong to another class of their section.
+    """
+
+    loop: LoopSettings
+    plant_settings: PlantSettings
+    controller_settings: ControllerSettings
+    dead_zone: DeadZone
+    plant: Plant
+    law: Law
+    trajectory: Trajectory
+    x0: tuple[float, ...]
+    noise: tuple[float, ...]
+    set_aside: tuple[str, ...] = field(default=())
+
+    @classmethod
+    def from_flat(cls, flat: Mapping[str, Any]) -> Configuration:
+        """Make a configuration from dotted keys; what is not given has its default.
+
+        Raises:
+            ConfigurationError: Unknown key, value not allowed, parts that do not fit together.
+        """
+        sections: dict[str, dict[str, Any]] = {name: {} for name in SECTIONS}
+        for key, value in flat.items():
+            section, dot, name = key.partition('.')
+            if not dot or section not in sections:
+                raise schema.unknown_key(key, value, (f'{item}.…' for item in SECTIONS))
+            sections[section][name] = value
+        zone_values = {name.partition('.')[2]: sections['plant'].pop(name)
+                       for name in list(sections['plant']) if name.startswith('dead_zone.')}
+        dead_zone = schema.build(DeadZone, zone_values, 'plant.dead_zone.')
+        set_aside: list[str] = []
+        built = {name: _section(name, values, set_aside) for name, values in sections.items()}
+        loop = built['loop'][0]
+        settings, model, parameters = built['plant']
+        plant = model(parameters)
+        controller, law_class, gains = built['controller']
+        law = law_class(gains, plant.order, plant.regressor_count, loop.period)
+        _, trajectory_class, motion = built['trajectory']
+        if plant.order > trajectory_class.max_order:
+            raise ConfigurationError('trajectory.kind', trajectory_class.name,
+                                     f'gives {trajectory_class.max_order} derivatives, the plant '
+                                     f'needs {plant.order}')
+        trajectory = trajectory_class(motion, plant.order)
+        x0 = settings.x0 or plant.default_x0
+        if len(x0) != plant.order:
+            raise ConfigurationError('plant.x0', list(x0), f'must have {plant.order} numbers, one '
+                                     'for each state')
+        noise = settings.noise if len(settings.noise) > 1 else settings.noise * plant.order
+        if len(noise) != plant.order:
+            raise ConfigurationError('plant.noise', list(noise), 'must have 1 or '
+                                     f'{plant.order} numbers')
+        return cls(loop, settings, controller, dead_zone, plant, law, trajectory, x0, noise,
+                   tuple(set_aside))
+
+    def to_flat(self) -> dict[str, Any]:
+        """Return every key of this configuration with its value; arrays as lists."""
+        groups = {'loop': (self.loop,), 'plant': (self.plant_settings, self.plant.parameters),
+                  'controller': (self.controller_settings, self.law.gains),
+                  'trajectory': (TrajectorySettings(kind_of(self.trajectory)),
+                                 self.trajectory.parameters),
+                  'plant.dead_zone': (self.dead_zone,)}
+        return {f'{prefix}.{name}': value for prefix, members in groups.items()
+                for group in members for name, value in schema.to_dict(group).items()}
+
+    def replace(self, **overrides: Any) -> Configuration:
+        """Return this configuration with dotted keys changed (``**{'loop.delay': 1}``)."""
+        return self.from_flat({**self.to_flat(), **overrides})
+
+
+def kind_of(thing: Any) -> str:
+    """Return the name by which a configuration chooses this plant, law or trajectory."""
+    cls = type(thing)
+    for registry in (PLANTS, LAWS, TRAJECTORIES):
+        if registry.builtin.get(cls.name) is cls or registry.installed().get(
+                cls.name) == f'{cls.__module__}:{cls.__qualname__}':
+            return str(cls.name)
+    return f'{cls.__module__}:{cls.__qualname__}'
+
+
+def _section(name: str, values: Mapping[str, Any],
+             set_aside: list[str]) -> tuple[Any, Any, Any]:
+    """Return (settings, chosen class, its parameter group) of one section."""
+    settings_class, registry, group_name = SECTIONS[name]
+    common = {item.name: item for item in schema.fields(settings_class)}
+    settings = schema.build(settings_class, {key: value for key, value in values.items()
+                                             if key in common or registry is None}, f'{name}.')
+    if registry is None:
+        return settings, None, None
+    chosen = registry.load(getattr(settings, SELECTORS[name]))
+    own = {item.name for item in schema.fields(getattr(chosen, group_name))}
+    given = {}
+    for key, value in values.items():
+        if key in common:
+            continue
+        if key in own:
+            given[key] = value
+        elif _known_elsewhere(registry, group_name, key):
+            set_aside.append(f'{name}.{key}')
+        else:
+            raise schema.unknown_key(f'{name}.{key}', value,
+                                     (f'{name}.{item}' for item in {*common, *own}))
+    return settings, chosen, schema.build(getattr(chosen, group_name), given, f'{name}.')
+
+
+def _known_elsewhere(registry: Registry, group_name: str, key: str) -> bool:
+    """Return whether another installed class of the registry has such a parameter."""
+    return any(key in {item.name for item in schema.fields(getattr(found, group_name))}
+               for found in registry.all().values() if not isinstance(found, UnknownNameError))

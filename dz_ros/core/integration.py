@@ -1,0 +1,84 @@
+"""The plant behind its dead-zone, advanced in continuous time by classical RK4.
+
+    x^(n) = b D(v) − Σ a_i Y_i(x) − disturbance(t, x)                      (6)
+
+v is held; the dead-zone and the disturbance are evaluated at every stage, so parameters may vary
+with time within a sample.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from dz_ros.core.deadzone import dead_zone
+
+Numbers = Sequence[float]
+Buffer = Any
+"""A mutable sequence of floats: a list in Python, a numpy array when compiled."""
+
+Advance = Callable[..., None]
+
+
+def identity(function: Any) -> Any:
+    """Return the function as it is: the place of a compiler that is not there."""
+    return function
+
+
+def make_advance(regressors: Callable[..., None], disturbance: Callable[..., float],
+                 jit: Callable[[Any], Any] = identity) -> Advance:
+    """Return ``advance(x, v, t, h, steps, p, z, y, k1, k2, k3, k4, stage)`` for a plant.
+
+    It moves ``x`` (shape (n,), in place) from t to t + steps·h with v held. ``p`` are the plant's
+    constants (b, a_1…a_r, …), ``z`` those of the dead-zone; ``y``, shape (r,), and the rest, shape
+    (n,), are buffers.
+
+    Args:
+        regressors: ``(x, p, y)`` writes Y(x).
+        disturbance: ``(t, x, p)`` returns the disturbance.
+        jit: Compiler applied to the functions made here.
+    """
+    zone = jit(dead_zone)
+    regressors = jit(regressors)
+    disturbance = jit(disturbance)
+
+    def acceleration(x: Buffer, v: float, t: float, p: Numbers, z: Numbers, y: Buffer) -> float:
+        regressors(x, p, y)
+        total: float = p[0] * zone(v, t, z) - disturbance(t, x, p)
+        for i in range(len(y)):
+            total -= p[1 + i] * y[i]
+        return total
+
+    acceleration = jit(acceleration)
+
+    def advance(x: Buffer, v: float, t: float, h: float, steps: int, p: Numbers, z: Numbers,
+                y: Buffer, k1: Buffer, k2: Buffer, k3: Buffer, k4: Buffer,
+                stage: Buffer) -> None:
+        last = len(x) - 1
+        half = 0.5 * h
+        sixth = h / 6.0
+        for step in range(steps):
+            now = t + step * h
+            for i in range(last):
+                k1[i] = x[i + 1]
+            k1[last] = acceleration(x, v, now, p, z, y)
+            for i in range(last + 1):
+                stage[i] = x[i] + half * k1[i]
+            for i in range(last):
+                k2[i] = stage[i + 1]
+            k2[last] = acceleration(stage, v, now + half, p, z, y)
+            for i in range(last + 1):
+                stage[i] = x[i] + half * k2[i]
+            for i in range(last):
+                k3[i] = stage[i + 1]
+            k3[last] = acceleration(stage, v, now + half, p, z, y)
+            for i in range(last + 1):
+                stage[i] = x[i] + h * k3[i]
+            for i in range(last):
+                k4[i] = stage[i + 1]
+            k4[last] = acceleration(stage, v, now + h, p, z, y)
+            for i in range(last + 1):
+                x[i] += sixth * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
+
+    compiled: Advance = jit(advance)
+    return compiled

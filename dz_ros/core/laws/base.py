@@ -1,0 +1,116 @@
+"""What a control law is: a pure step from a measurement to a command, a memory and a record.
+
+    (memory_k, reference at t_k, x(t_k), Y(x(t_k)), dt)  →  (v_k, memory_{k+1}, terms_k)
+
+It never reads a clock, a file or a parameter. Gains are one frozen value that validates itself.
+The numbers live in one static scalar function, `Law.kernel`, used as it is on line and compiled
+off line; `Law.step` wraps it in records.
+
+A law's *memory* is all it carries from sample to sample (θ̂, φ̂, integrals, …). Its *signals* are
+what it publishes of itself in every sample; the memory before the step can be recovered from
+them (`Law.memory_from_signals`), so a recording can be recomputed from any sample on.
+
+``dt`` is the accepted interval, not an assumed constant; 0 freezes adaptation (mathematics.md §7).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+from dz_ros.core.records import Command, Reference, State, STATUS, Status, Terms
+from dz_ros.errors import ConfigurationError
+
+
+class Law(ABC):
+    """A control law for one plant structure; subclass it to add your own.
+
+    Args:
+        gains: Instance of `Gains`; None = its defaults.
+        order: Order n of the plant.
+        regressor_count: Number r of regressors Y_i.
+        period: Nominal sample interval T [s].
+
+    Attributes:
+        name: Name in configurations.
+        summary: One line for lists.
+        orders: Plant orders it is defined for; empty = any.
+        Gains: Frozen dataclass of `dz_ros.core.schema.parameter` fields.
+
+    Raises:
+        ConfigurationError: Gains that do not fit the order or the number of regressors.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    orders: ClassVar[tuple[int, ...]] = ()
+    Gains: ClassVar[type]
+
+    def __init__(self, gains: Any = None, order: int = 2, regressor_count: int = 2,
+                 period: float = 0.005) -> None:
+        self.gains = self.Gains() if gains is None else gains
+        self.order = order
+        self.regressor_count = regressor_count
+        self.period = period
+        if self.orders and order not in self.orders:
+            allowed = ' or '.join(str(item) for item in self.orders)
+            raise ConfigurationError('controller.law', self.name,
+                                     f'needs a plant of order {allowed}, this one has {order}')
+
+    @property
+    @abstractmethod
+    def constants(self) -> tuple[float, ...]:
+        """Flat numbers for `kernel`, made from gains, order and period."""
+
+    @property
+    @abstractmethod
+    def signal_names(self) -> tuple[str, ...]:
+        """Names of what `kernel` writes after the status; θ̂_i are theta1…, φ̂ is phi."""
+
+    @abstractmethod
+    def initial_memory(self) -> tuple[float, ...]:
+        """Memory before the first sample."""
+
+    @abstractmethod
+    def memory_from_signals(self, signals: Sequence[float]) -> tuple[float, ...]:
+        """Return the memory before the step that published these signals."""
+
+    @staticmethod
+    @abstractmethod
+    def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],
+               x: Sequence[float], y: Sequence[float], dt: float, new_memory: Any,
+               terms: Any) -> float:
+        """Return v; fill new_memory and terms.
+
+        Args:
+            c: `constants`.
+            memory: Memory before the step.
+            x_d: x_d … x_d^(n), shape (n + 1,).
+            x: Measured state, shape (n,).
+            y: Y(x), shape (r,).
+            dt: Accepted interval [s]; 0 = adaptation frozen.
+            new_memory: Buffer for the memory after the step, as long as memory.
+            terms: Buffer for `dz_ros.core.records.TERM_NAMES`, status bits, signals.
+        """
+
+    def step(self, memory: Sequence[float], reference: Reference, state: State,
+             y: Sequence[float], dt: float,
+             status: Status = Status.ADAPTING) -> tuple[Command, tuple[float, ...], Terms]:
+        """Return command, next memory and terms for one sample, as records.
+
+        Args:
+            memory: Memory before the step.
+            reference: Reference at the state's stamp.
+            state: Measured state.
+            y: Y(x), shape (r,).
+            dt: Accepted interval [s]; 0 freezes adaptation.
+            status: Why dt is 0, as far as the caller knows; the law adds its own reasons.
+        """
+        new_memory = [0.0] * len(memory)
+        buffer = [0.0] * (STATUS + 1 + len(self.signal_names))
+        v = self.kernel(self.constants, memory, reference.x_d, state.x, y, dt, new_memory, buffer)
+        command = Command(state.seq, state.stamp, v, state.seq, state.stamp)
+        terms = Terms(state.seq, state.stamp, tuple(buffer[:STATUS]), dt,
+                      status | Status(int(buffer[STATUS])), tuple(buffer[STATUS + 1:]))
+        return command, tuple(new_memory), terms

@@ -1,0 +1,162 @@
+"""The closed loop off line, in the binding order of operations (mathematics.md §3).
+
+At t_k = k T: measure x(t_k) (plus noise); v_k from the law with the memory of sample k; Euler step
+of the estimates; the actuator holds v_{k−delay}, clipped to its limit (0 before the first
+command), over [t_k, t_{k+1}] while the plant is integrated in continuous time.
+
+`simulate` is plain scalar Python: one source for the loop off line and the pieces the nodes run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.deadzone import dead_zone, residual
+from dz_ros.core.integration import Buffer, identity, make_advance, Numbers
+from dz_ros.core.records import STATUS, TERM_NAMES
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Run:
+    """Every sample of a closed loop, read-only arrays with one row a sample.
+
+    Attributes:
+        configuration: What was run.
+        t: Time [s], shape (K + 1,).
+        x: True state at t_k, shape (K + 1, n).
+        x_measured: What the law saw (= x without noise), shape (K + 1, n).
+        x_d: x_d … x_d^(n), shape (K + 1, n + 1).
+        v: Command computed at t_k, shape (K + 1,).
+        v_applied: Command the actuator holds from t_k on (delayed, clipped), shape (K + 1,).
+        truth: w, d, disturbance just after t_k, shape (K + 1, 3).
+        terms: `TERM_NAMES`, status, the law's signals, shape (K + 1, 9 + …).
+    """
+
+    configuration: Configuration
+    t: Array
+    x: Array
+    x_measured: Array
+    x_d: Array
+    v: Array
+    v_applied: Array
+    truth: Array
+    terms: Array
+
+    def column(self, name: str) -> Array:
+        """Return a term or signal of the law by name, shape (K + 1,).
+
+        Raises:
+            KeyError: The law has no such signal.
+        """
+        names = (*TERM_NAMES, 'status', *self.configuration.law.signal_names)
+        if name not in names:
+            raise KeyError(f'{name}: this law has {", ".join(names)}')
+        return self.terms[:, names.index(name)]
+
+
+Loop = Callable[..., None]
+
+
+def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity) -> Loop:
+    """Return the function that runs this combination of law, plant and trajectory.
+
+    Args:
+        configuration: Decides which functions are combined; their numbers are arguments.
+        jit: Compiler applied to every function; the identity leaves plain Python.
+    """
+    advance = make_advance(configuration.plant.regressors, configuration.plant.disturbance, jit)
+    regressors = jit(configuration.plant.regressors)
+    disturbance = jit(configuration.plant.disturbance)
+    evaluate = jit(configuration.trajectory.evaluate)
+    kernel = jit(configuration.law.kernel)
+    zone = jit(dead_zone)
+    rest = jit(residual)
+
+    def loop(last: int, period: float, substeps: int, delay: int, limit: float, plant: Numbers,
+             zone_numbers: Numbers, motion: Numbers, gains: Numbers, x: Buffer, y: Buffer,
+             x_d: Buffer, memory: Buffer, new_memory: Buffer, terms: Buffer, work: Buffer,
+             noise: Buffer, out_x: Buffer, out_measured: Buffer, out_x_d: Buffer, out_v: Buffer,
+             out_applied: Buffer, out_truth: Buffer, out_terms: Buffer) -> None:
+        n = len(x)
+        h = period / substeps
+        measured, k1, k2, k3, k4, stage = work
+        for k in range(last + 1):
+            t = k * period
+            for i in range(n):
+                out_x[k][i] = x[i]
+                measured[i] = x[i] + noise[k][i]
+                out_measured[k][i] = measured[i]
+            evaluate(t, motion, x_d)
+            regressors(measured, plant, y)
+            v = kernel(gains, memory, x_d, measured, y, period, new_memory, terms)
+            for i in range(len(memory)):
+                memory[i] = new_memory[i]
+            for i in range(n + 1):
+                out_x_d[k][i] = x_d[i]
+            for i in range(len(terms)):
+                out_terms[k][i] = terms[i]
+            out_v[k] = v
+            held = out_v[k - delay] if k >= delay else 0.0
+            if limit > 0.0:
+                held = min(max(held, -limit), limit)
+            w = zone(held, t, zone_numbers)
+            out_applied[k] = held
+            out_truth[k][0] = w
+            out_truth[k][1] = rest(held, w, t, zone_numbers)
+            out_truth[k][2] = disturbance(t, x, plant)
+            if k < last:
+                advance(x, held, t, h, substeps, plant, zone_numbers, y, k1, k2, k3, k4, stage)
+
+    function: Loop = jit(loop)
+    return function
+
+
+def measurement_noise(configuration: Configuration, samples: int) -> Array:
+    """Return the seeded noise of a run, shape (samples, n); zeros where none is configured."""
+    order = configuration.plant.order
+    sigma = np.asarray(configuration.noise)
+    if not sigma.any():
+        return np.zeros((samples, order))
+    generator = np.random.default_rng(configuration.loop.seed)
+    return np.asarray(generator.standard_normal((samples, order)) * sigma)
+
+
+def simulate(configuration: Configuration) -> Run:
+    """Return the closed loop of a configuration, from t = 0 to its duration.
+
+    Raises:
+        OverflowError: The loop diverged beyond what its functions can evaluate.
+    """
+    c = configuration
+    last = c.loop.samples
+    n, r = c.plant.order, c.plant.regressor_count
+    width = STATUS + 1 + len(c.law.signal_names)
+    memory = list(c.law.initial_memory())
+    noise = measurement_noise(c, last + 1)
+
+    def rows(columns: int) -> list[list[float]]:
+        return [[0.0] * columns for _ in range(last + 1)]
+
+    out_x, out_measured, out_x_d, out_truth, out_terms = (
+        rows(n), rows(n), rows(n + 1), rows(3), rows(width))
+    out_v, out_applied = [0.0] * (last + 1), [0.0] * (last + 1)
+    make_loop(c)(last, c.loop.period, c.plant_settings.substeps, c.loop.delay,
+                 c.plant_settings.command_limit, c.plant.constants, c.dead_zone.constants,
+                 c.trajectory.constants, c.law.constants, list(c.x0), [0.0] * r, [0.0] * (n + 1),
+                 memory, [0.0] * len(memory), [0.0] * width, [[0.0] * n for _ in range(6)],
+                 noise.tolist(), out_x, out_measured, out_x_d, out_v, out_applied, out_truth,
+                 out_terms)
+    arrays = [np.asarray(item, dtype=float) for item in (
+        [k * c.loop.period for k in range(last + 1)], out_x, out_measured, out_x_d, out_v,
+        out_applied, out_truth, out_terms)]
+    for array in arrays:
+        array.flags.writeable = False
+    return Run(c, *arrays)

@@ -1,0 +1,72 @@
+"""Finding plants, trajectories and laws by name: ours, installed ones, ``package.module:Name``.
+
+A package of yours adds its own by an entry point in the group ``dz_ros.plants``,
+``dz_ros.trajectories`` or ``dz_ros.laws`` (``name = package.module:Class``); without installing
+anything, a configuration may name ``package.module:Class`` directly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+import importlib
+from importlib.metadata import entry_points
+from typing import Any
+
+from dz_ros.errors import UnknownNameError
+
+
+@dataclass(frozen=True)
+class Registry:
+    """One kind of thing that configurations choose by name.
+
+    Attributes:
+        kind: Singular noun for messages, e.g. ``plant``.
+        key: Configuration key that chooses, e.g. ``plant.model``.
+        group: Entry-point group.
+        base: Class the things derive from.
+        builtin: Name → class, those that ship with dz_ros.
+    """
+
+    kind: str
+    key: str
+    group: str
+    base: type
+    builtin: Mapping[str, Any]
+
+    def installed(self) -> dict[str, str]:
+        """Return name → ``module:Class`` of those that other packages bring."""
+        return {point.name: point.value for point in entry_points(group=self.group)
+                if point.name not in self.builtin}
+
+    def load(self, name: str) -> Any:
+        """Return the class called `name`.
+
+        Raises:
+            UnknownNameError: No such name, it cannot be imported, or it is something else.
+        """
+        if name in self.builtin:
+            return self.builtin[name]
+        target = name if ':' in name else self.installed().get(name)
+        if target is None:
+            known = ', '.join([*self.builtin, *self.installed()])
+            raise UnknownNameError(self.key, name, f'no such {self.kind}; known: {known}; '
+                                   'or give package.module:Class')
+        module, _, attribute = target.partition(':')
+        try:
+            found = getattr(importlib.import_module(module), attribute)
+        except (ImportError, AttributeError, ValueError) as error:
+            raise UnknownNameError(self.key, name, f'cannot be loaded: {error}') from error
+        if not (isinstance(found, type) and issubclass(found, self.base)):
+            raise UnknownNameError(self.key, name, f'is not a {self.base.__name__}')
+        return found
+
+    def all(self) -> dict[str, Any]:
+        """Return name → class, or → the error that keeps one from loading."""
+        found: dict[str, Any] = dict(self.builtin)
+        for name in self.installed():
+            try:
+                found[name] = self.load(name)
+            except UnknownNameError as error:
+                found[name] = error
+        return found

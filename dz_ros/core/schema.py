@@ -1,0 +1,191 @@
+"""One schema for configuration files, ROS parameters, command-line overrides and sweeps.
+
+A group of parameters is a frozen dataclass whose fields are made by `parameter`: default, unit,
+description, range. From that one declaration come validation (`build`), the ROS parameter
+descriptors and the documentation. A group may define ``check(self, prefix)`` for rules that span
+several fields; it raises `ConfigurationError`.
+
+A field whose name is a Python keyword carries a trailing underscore (``lambda_``) and is written
+without it everywhere outside the code (``controller.lambda``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+import dataclasses
+from dataclasses import dataclass
+import difflib
+import math
+from typing import Any, get_type_hints, TypeVar
+
+from dz_ros.errors import ConfigurationError
+
+Group = TypeVar('Group')
+_SPEC = 'dz_ros.parameter'
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What is known of one parameter besides its name and type.
+
+    Attributes:
+        unit: Unit in brackets' contents, ``'1'`` for dimensionless, ``''`` for names and flags.
+        description: One sentence.
+        minimum: Smallest value allowed, inclusive unless `open_minimum`.
+        maximum: Largest value allowed, inclusive.
+        open_minimum: True where the minimum itself is not allowed.
+        choices: The only strings allowed; empty = any.
+        length: The only length allowed of an array; 0 = any.
+        structural: True where the value cannot change while a loop runs (order, model, rate).
+    """
+
+    unit: str
+    description: str
+    minimum: float = -math.inf
+    maximum: float = math.inf
+    open_minimum: bool = False
+    choices: tuple[str, ...] = ()
+    length: int = 0
+    structural: bool = False
+
+    def range_text(self) -> str:
+        """Return what is allowed, in words, or an empty string."""
+        if self.choices:
+            return 'one of ' + ', '.join(self.choices)
+        low = '' if self.minimum == -math.inf else (
+            f'{">" if self.open_minimum else ">="} {self.minimum:g}')
+        high = '' if self.maximum == math.inf else f'<= {self.maximum:g}'
+        return ' and '.join(part for part in (low, high) if part)
+
+
+@dataclass(frozen=True)
+class Field:
+    """One parameter of a group: its outside name, Python attribute, type, default and `Spec`."""
+
+    name: str
+    attribute: str
+    kind: str
+    default: Any
+    spec: Spec
+
+
+def parameter(default: Any, unit: str, description: str, **rules: Any) -> Any:
+    """Declare a parameter of a frozen dataclass.
+
+    Args:
+        default: Default value; arrays are tuples.
+        unit: Unit, ``'1'`` if dimensionless, ``''`` for names and flags.
+        description: One sentence, shown by ``ros2 param describe`` and in error messages.
+        **rules: Further fields of `Spec` (minimum, maximum, open_minimum, choices, length,
+            structural).
+    """
+    return dataclasses.field(default=default, metadata={_SPEC: Spec(unit, description, **rules)})
+
+
+_KINDS = {float: 'float', int: 'int', bool: 'bool', str: 'str',
+          tuple[float, ...]: 'floats', tuple[str, ...]: 'strings'}
+_WORDS = {'float': 'a finite number', 'int': 'an integer', 'bool': 'true or false',
+          'str': 'a text', 'floats': 'a list of finite numbers', 'strings': 'a list of texts'}
+
+
+def fields(group: type) -> tuple[Field, ...]:
+    """Return the parameters of a group in order of declaration."""
+    hints = get_type_hints(group)
+    found = []
+    for item in dataclasses.fields(group):
+        spec = item.metadata.get(_SPEC)
+        if spec is not None:
+            found.append(Field(item.name.rstrip('_'), item.name, _KINDS[hints[item.name]],
+                               item.default, spec))
+    return tuple(found)
+
+
+def _convert(kind: str, value: Any) -> Any:
+    """Return the value as its declared type; raise TypeError where it is another one."""
+    if kind == 'bool':
+        if isinstance(value, bool):
+            return value
+    elif kind == 'int':
+        if isinstance(value, int) and not isinstance(value, bool):
+            return value
+        if isinstance(value, float) and value.is_integer():
+            return int(value)
+    elif kind == 'float':
+        if isinstance(value, (int, float)) and not isinstance(value, bool):
+            number = float(value)
+            if math.isfinite(number):
+                return number
+    elif kind == 'str':
+        if isinstance(value, str):
+            return value
+    elif not isinstance(value, (str, bytes, Mapping)) and isinstance(value, Iterable):
+        return tuple(_convert('float' if kind == 'floats' else 'str', item) for item in value)
+    raise TypeError(kind)
+
+
+def check_value(field: Field, value: Any, key: str) -> Any:
+    """Return the value converted to the field's type.
+
+    Raises:
+        ConfigurationError: Wrong type, not finite, out of range or not among the choices.
+    """
+    spec = field.spec
+    unit = f' [{spec.unit}]' if spec.unit not in ('', '1') else ''
+    limits = spec.range_text()
+    wanted = f'must be {_WORDS[field.kind]}{" " + limits if limits else ""}{unit}'
+    if spec.choices and field.kind == 'str':
+        wanted = f'must be {limits}'
+    try:
+        converted = _convert(field.kind, value)
+    except (TypeError, OverflowError):
+        raise ConfigurationError(key, value, wanted) from None
+    if spec.choices and field.kind == 'str' and converted not in spec.choices:
+        raise ConfigurationError(key, value, wanted)
+    if field.kind in ('float', 'int', 'floats'):
+        for number in converted if field.kind == 'floats' else (converted,):
+            too_low = number <= spec.minimum if spec.open_minimum else number < spec.minimum
+            if too_low or number > spec.maximum:
+                raise ConfigurationError(key, value, wanted)
+    if spec.length and len(converted) != spec.length:
+        raise ConfigurationError(key, value, f'must be a list of {spec.length} numbers{unit}')
+    return converted
+
+
+def unknown_key(key: str, value: Any, known: Iterable[str]) -> ConfigurationError:
+    """Return the error for a key nobody declares, with the nearest known one."""
+    names = sorted(known)
+    near = difflib.get_close_matches(key, names, n=1)
+    hint = f'did you mean {near[0]}?' if near else 'known: ' + ', '.join(names)
+    return ConfigurationError(key, value, f'unknown key; {hint}')
+
+
+def build(group: type[Group], values: Mapping[str, Any], prefix: str = '') -> Group:
+    """Make a group from the values given, defaults for the rest.
+
+    Args:
+        group: A frozen dataclass of `parameter` fields.
+        values: Outside name → value. Every name must belong to the group.
+        prefix: Section, ending in a dot, put before names in errors.
+
+    Raises:
+        ConfigurationError: Unknown key or a value that is not allowed.
+    """
+    known = {field.name: field for field in fields(group)}
+    for name in values:
+        if name not in known:
+            raise unknown_key(prefix + name, values[name], (prefix + item for item in known))
+    made = group(**{known[name].attribute: check_value(known[name], value, prefix + name)
+                    for name, value in values.items()})
+    check = getattr(made, 'check', None)
+    if check is not None:
+        check(prefix)
+    return made
+
+
+def to_dict(group: Any) -> dict[str, Any]:
+    """Return outside name → value of every parameter; arrays as lists."""
+    found = {}
+    for field in fields(type(group)):
+        value = getattr(group, field.attribute)
+        found[field.name] = list(value) if isinstance(value, tuple) else value
+    return found

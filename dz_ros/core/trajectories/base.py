@@ -1,0 +1,47 @@
+"""What a trajectory is: x_d, x_d', …, x_d^(n) at any time, all from one closed form.
+
+The law needs every derivative up to the plant's order; none is ever formed by differences.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+import math
+from typing import Any, ClassVar
+
+
+class Trajectory(ABC):
+    """A desired motion; subclass it to add your own.
+
+    Attributes:
+        name: Name in configurations.
+        summary: One line for lists.
+        max_order: Highest derivative that is continuous enough to be tracked.
+        Parameters: Frozen dataclass of `dz_ros.core.schema.parameter` fields.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    max_order: ClassVar[float] = math.inf
+    Parameters: ClassVar[type]
+
+    def __init__(self, parameters: Any = None, order: int = 2) -> None:
+        self.parameters = self.Parameters() if parameters is None else parameters
+        self.order = order
+
+    @property
+    @abstractmethod
+    def constants(self) -> tuple[float, ...]:
+        """Flat numbers for `evaluate`."""
+
+    @staticmethod
+    @abstractmethod
+    def evaluate(t: float, p: Sequence[float], x_d: Any) -> None:
+        """Write x_d, x_d', …, one more than the order asked for (``len(x_d) - 1``), at t [s]."""
+
+    def __call__(self, t: float) -> tuple[float, ...]:
+        """Return (x_d, …, x_d^(n)) at t [s], shape (n + 1,)."""
+        x_d = [0.0] * (self.order + 1)
+        self.evaluate(t, self.constants, x_d)
+        return tuple(x_d)
