@@ -17,8 +17,10 @@ from typing import Any
 
 from dz_ros.core import schema
 from dz_ros.core.deadzone import DeadZone
-from dz_ros.core.laws import Law, LAWS
-from dz_ros.core.plants import Plant, PLANTS
+from dz_ros.core.laws import LAWS
+from dz_ros.core.laws.base import Law
+from dz_ros.core.plants import PLANTS
+from dz_ros.core.plants.base import Plant
 from dz_ros.core.registry import Registry
 from dz_ros.core.schema import parameter
 from dz_ros.core.trajectories import TRAJECTORIES, Trajectory
@@ -213,7 +215,7 @@ def _section(name: str, values: Mapping[str, Any],
     """Return (settings, chosen class, its parameter group) of one section."""
     settings_class, registry, group_name = SECTIONS[name]
     common = {item.name: item for item in schema.fields(settings_class)}
-    settings = schema.build(settings_class, {key: value for key, value in values.items()
+    settings: Any = schema.build(settings_class, {key: value for key, value in values.items()
                                              if key in common or registry is None}, f'{name}.')
     if registry is None:
         return settings, None, None
