@@ -1,12 +1,12 @@
 """Every error that dz_ros raises on purpose.
 
     DzRosError                      root: catch this one to catch them all
-    ├── ConfigurationError          a key, its value, what is allowed   (also ValueError)
-    │   └── UnknownNameError        a plant, law, trajectory, driver name(also LookupError)
-    ├── MissingDependencyError      an optional package is not installed(also ImportError)
+    ├── ConfigurationError          a key, its value, what is allowed     (also ValueError)
+    │   └── UnknownNameError        a plant, law, trajectory, driver name (also LookupError)
+    ├── MissingDependencyError      an optional package is not installed  (also ImportError)
     ├── RecordingError              a run that cannot be written or read
-    │   ├── RunExistsError          refuses to overwrite                (also FileExistsError)
-    │   ├── RunNotFoundError        nothing there                       (also FileNotFoundError)
+    │   ├── RunExistsError          refuses to overwrite                  (also FileExistsError)
+    │   ├── RunNotFoundError        nothing there                         (also FileNotFoundError)
     │   └── DamagedRunError         cut off or corrupted: says what to do
     └── LoopError                   the running loop: peers, topics, nodes(also RuntimeError)
 

@@ -23,7 +23,8 @@ from dz_ros.core.plants import PLANTS
 from dz_ros.core.plants.base import Plant
 from dz_ros.core.registry import Registry
 from dz_ros.core.schema import parameter
-from dz_ros.core.trajectories import TRAJECTORIES, Trajectory
+from dz_ros.core.trajectories import TRAJECTORIES
+from dz_ros.core.trajectories.base import Trajectory
 from dz_ros.errors import ConfigurationError, UnknownNameError
 
 
