@@ -42,6 +42,7 @@ class Controller:
     Attributes:
         memory: The law's memory before the next step.
         ignored: Reason → count of the states that were not answered by a step.
+        error: x̃ of the last step, unit of x.
     """
 
     def __init__(self, configuration: Configuration) -> None:
@@ -49,6 +50,7 @@ class Controller:
         self.period = configuration.loop.period
         self.memory = self.law.initial_memory()
         self.ignored = {'repeated': 0, 'out_of_order': 0, 'not_finite': 0}
+        self.error = 0.0
         self._plant = configuration.plant
         self._plant_constants = configuration.plant.constants
         self._y = [0.0] * configuration.plant.regressor_count
@@ -92,6 +94,7 @@ class Controller:
         status = Status.ADAPTING if dt > 0.0 else Status.BAD_INTERVAL
         if late > 2.0 * self.period:
             dt, status = 0.0, status | Status.STALE_REFERENCE
+        self.error = state.x[0] - reference.x_d[0]
         self._plant.regressors(state.x, self._plant_constants, self._y)
         command, self.memory, terms = self.law.step(self.memory, reference, state, self._y, dt,
                                                     status)

@@ -65,25 +65,25 @@ class SimulatedActuator:
         noise = self._random.standard_normal(len(self.x)) * np.asarray(self._sigma)
         return tuple(value + float(error) for value, error in zip(self.x, noise, strict=True))
 
-    def advance(self, t: float) -> None:
-        """Integrate to loop time t [s], switching commands when they take effect."""
-        while self._pending and self._pending[0][0] < t - SNAP:
+    def advance(self, t: float, seq: int) -> Truth:
+        """Integrate to loop time t [s], switching commands when they take effect.
+
+        Returns:
+            What the plant knows of the sample `seq` it leaves: w and d of the command held at the
+            end of it, the disturbance at its beginning.
+        """
+        stamp = self.t
+        disturbance = self._disturbance(stamp, self.x, self._plant)
+        while self._pending and (self._pending[0][0] < t - SNAP
+                                 or self._pending[0][0] <= stamp + SNAP):
             at, v = self._pending.popleft()
             if at > self.t + SNAP:
                 self._integrate(at)
             self.held = v
-        self._integrate(t)
-
-    def truth(self, seq: int, stamp: float) -> Truth:
-        """Return what the plant knows of the command held now, evaluated at a stamp [s]."""
+        if t > self.t + SNAP:
+            self._integrate(t)
         w = dead_zone(self.held, stamp, self._zone)
-        return Truth(seq, stamp, w, residual(self.held, w, stamp, self._zone),
-                     self._disturbance(stamp, self.x, self._plant))
-
-    def take_effect(self) -> None:
-        """Switch to the commands that are due by now without advancing time."""
-        while self._pending and self._pending[0][0] <= self.t + SNAP:
-            self.held = self._pending.popleft()[1]
+        return Truth(seq, stamp, w, residual(self.held, w, stamp, self._zone), disturbance)
 
     def _integrate(self, t: float) -> None:
         span = t - self.t

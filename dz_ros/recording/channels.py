@@ -37,7 +37,7 @@ class Qos:
         reliability: ``reliable`` or ``best_effort``.
     """
 
-    depth: int = 200
+    depth: int = 1000
     durability: str = 'volatile'
     reliability: str = 'reliable'
 
@@ -90,7 +90,7 @@ CHANNELS: Mapping[str, RecordChannel] = {item.name: item for item in (
     RecordChannel('command', ARRAY, Qos(), 'command, controller → plant or driver'),
     RecordChannel('terms', ARRAY, Qos(), 'every term of the law, controller → who looks'),
     RecordChannel('truth', ARRAY, Qos(), 'what only a simulated plant knows, plant → who looks'),
-    RecordChannel('events', TEXT, Qos(depth=100, durability='transient_local'),
+    RecordChannel('events', TEXT, Qos(depth=200, durability='transient_local'),
                   'what happened, as JSON text, every node → who looks'),
 )}
 """The channels of a run by name."""

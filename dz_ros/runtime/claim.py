@@ -7,6 +7,7 @@ as discovery does. Elsewhere nothing is claimed and nothing is refused.
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import struct
@@ -33,10 +34,12 @@ def claim(name: str) -> socket.socket:
     holder = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         holder.bind('\0dz_ros/' + name)
-    except OSError:
+        holder.listen(1)
+    except OSError as error:
+        if error.errno != errno.EADDRINUSE:
+            return holder
         holder.close()
         raise ClaimedError(name, _holder(name)) from None
-    holder.listen(1)
     return holder
 
 
