@@ -1,6 +1,6 @@
 """Packaging for pip and colcon alike; version, description and people come from package.xml."""
 
-from glob import glob
+from pathlib import Path
 import xml.etree.ElementTree as ET
 
 from setuptools import find_packages, setup
@@ -8,6 +8,12 @@ from setuptools import find_packages, setup
 manifest = ET.parse('package.xml').getroot()
 name = manifest.findtext('name')
 maintainer = manifest.find('maintainer')
+
+
+
+def files(*patterns):
+    return sorted(str(path) for pattern in patterns for path in Path().glob(pattern))
+
 
 setup(
     name=name,
@@ -22,8 +28,8 @@ setup(
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
         (f'share/{name}', ['package.xml']),
-        (f'share/{name}/config', sorted(glob('config/*.yaml') + glob('config/*.csv'))),
-        (f'share/{name}/launch', sorted(glob('launch/*.py'))),
+        (f'share/{name}/config', files('config/*.yaml', 'config/*.csv')),
+        (f'share/{name}/launch', files('launch/*.py')),
     ],
     zip_safe=True,
     python_requires='>=3.10',
