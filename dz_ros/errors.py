@@ -84,3 +84,8 @@ class DamagedRunError(RecordingError):
 
 class LoopError(DzRosError, RuntimeError):
     """The running loop cannot start or go on."""
+
+
+NO_RCLPY = ('rclpy is not installed here: source an installed ROS 2 Jazzy, or '
+            "pip install 'dz_ros[ros]' on CPython 3.10 to 3.13")
+"""What to say where a node cannot start."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from importlib.util import find_spec
 import json
 import os
 from pathlib import Path
@@ -15,7 +16,8 @@ import threading
 import time
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.errors import ConfigurationError, LoopError, MissingDependencyError, RunExistsError
+from dz_ros.errors import (ConfigurationError, LoopError, MissingDependencyError, NO_RCLPY,
+                           RunExistsError)
 from dz_ros.files import load_configuration, write_parameters
 from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
 
@@ -37,8 +39,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='length of the run in seconds of loop time; 0 = until Ctrl-C')
     parser.add_argument('--record', type=Path, metavar='DIR',
                         help='record the run to this directory, which must not exist')
-    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE', dest='overrides',
-                        help='change one key of the configuration; may be repeated')
+    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE',
+                        dest='overrides', help='change one key of the configuration; may be repeated')
     parser.add_argument('--namespace', default='', metavar='NS',
                         help='ROS namespace of the loop, e.g. /left_valve')
     parser.add_argument('--quiet', action='store_true', help='no progress')
@@ -73,9 +75,6 @@ def _check_rclpy() -> None:
     Raises:
         MissingDependencyError: rclpy is not installed.
     """
-    from importlib.util import find_spec
-
-    from dz_ros.nodes.main import NO_RCLPY
     if find_spec('rclpy') is None:
         raise MissingDependencyError(NO_RCLPY)
 

@@ -28,7 +28,7 @@ def accepted_interval(earlier: float, stamp: float, period: float) -> float:
     interval = stamp - earlier
     if abs(interval - period) < SNAP:
         return period
-    if 0.5 * period <= interval <= 2.0 * period:
+    if 0.5 * period - SNAP <= interval <= 2.0 * period + SNAP:
         return interval
     return 0.0
 

@@ -12,15 +12,12 @@ import signal
 import sys
 from types import FrameType
 
-from dz_ros.errors import DzRosError
+from dz_ros.errors import DzRosError, NO_RCLPY
 from dz_ros.runtime.process import settle
 
 NODES = {'plant_node': 'PlantNode', 'controller_node': 'ControllerNode',
          'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode'}
 """Executable → class in the module of the same name."""
-
-NO_RCLPY = ('rclpy is not installed here: source an installed ROS 2 Jazzy, or '
-            "pip install 'dz_ros[ros]' on CPython 3.10 to 3.13")
 
 
 def run_node(name: str) -> int:
