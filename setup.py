@@ -62,10 +62,10 @@ setup(
     entry_points={
         'console_scripts': [
             'dz = dz_ros.cli.main:main',
-            'plant_node = dz_ros.nodes.plant_node:main',
-            'controller_node = dz_ros.nodes.controller_node:main',
-            'trajectory_node = dz_ros.nodes.trajectory_node:main',
-            'recorder_node = dz_ros.nodes.recorder_node:main',
+            'plant_node = dz_ros.nodes.main:plant_node',
+            'controller_node = dz_ros.nodes.main:controller_node',
+            'trajectory_node = dz_ros.nodes.main:trajectory_node',
+            'recorder_node = dz_ros.nodes.main:recorder_node',
         ],
     },
 )

@@ -203,13 +203,13 @@ def _parse_override(text: str) -> dict[str, Any]:
 
 def _read_waypoints(flat: dict[str, Any], folder: Path) -> None:
     """Replace ``trajectory.file`` by the times and positions the CSV holds."""
-    if WAYPOINTS not in flat:
+    name = flat.pop(WAYPOINTS, '')
+    if name == '':
         return
-    name = flat.pop(WAYPOINTS)
     if not isinstance(name, str):
         raise ConfigurationError(WAYPOINTS, name, 'must be the path of a CSV file')
     for key in ('trajectory.times', 'trajectory.positions'):
-        if key in flat:
+        if flat.get(key):
             raise ConfigurationError(key, flat[key], f'is given beside {WAYPOINTS}; leave one out')
     times, positions = read_waypoints(folder / Path(name).expanduser())
     flat['trajectory.times'] = times

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError
-from importlib.metadata import version as installed_version
 from pathlib import Path
 
 NAME = 'dz_ros'
@@ -17,11 +15,15 @@ def version() -> str:
     """
     manifest = Path(__file__).resolve().parent.parent / 'package.xml'
     if manifest.is_file():
+        # Imported late, as below: the command line starts faster.
         import xml.etree.ElementTree as ET
 
         root = ET.parse(manifest).getroot()
         if root.findtext('name') == NAME:
             return root.findtext('version') or 'unknown'
+    from importlib.metadata import PackageNotFoundError
+    from importlib.metadata import version as installed_version
+
     try:
         return installed_version(NAME)
     except PackageNotFoundError:
