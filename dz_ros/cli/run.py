@@ -16,8 +16,13 @@ import threading
 import time
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.errors import (ConfigurationError, LoopError, MissingDependencyError, NO_RCLPY,
-                           RunExistsError)
+from dz_ros.errors import (
+    ConfigurationError,
+    LoopError,
+    MissingDependencyError,
+    NO_RCLPY,
+    RunExistsError,
+)
 from dz_ros.files import load_configuration, write_parameters
 from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
 
@@ -41,6 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='record the run to this directory, which must not exist')
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE',
                         dest='overrides', help='change one key of the configuration; may be repeated')
+    parser.add_argument('--lockstep', action='store_true',
+                        help='step when messages have arrived, as fast as the machine goes; '
+                             'the same as --set loop.timing=lockstep')
     parser.add_argument('--namespace', default='', metavar='NS',
                         help='ROS namespace of the loop, e.g. /left_valve')
     parser.add_argument('--quiet', action='store_true', help='no progress')
@@ -51,6 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
     overrides = list(arguments.overrides)
     if arguments.duration is not None:
         overrides.append(f'loop.duration={arguments.duration}')
+    if arguments.lockstep:
+        overrides.append('loop.timing=lockstep')
     configuration = load_configuration(arguments.config, overrides)
     if arguments.record is not None:
         if arguments.record.exists():
@@ -186,7 +196,7 @@ class _Loop:
                 + ('' if layer is None else f's/ε {layer:+8.2f}   ')
                 + f'v {progress["v"]:+8.3f}   '
                 + ('' if rate is None else f'{rate:6.1f} Hz   ')
-                + f'late {progress["late"]:.0f}')
+                + ('' if progress['late'] is None else f'late {progress["late"]:.0f}'))
         with self._lock:
             if self._terminal:
                 print('\r' + line.ljust(len(self._line)), end='', flush=True)

@@ -39,7 +39,7 @@ class LoopSettings:
                            structural=True)
     timing: str = parameter('realtime', '', 'realtime: absolute deadlines of the wall; lockstep: '
                             'as fast as the messages come, stamp = kT', structural=True,
-                            choices=('realtime',))
+                            choices=('realtime', 'lockstep'))
     duration: float = parameter(20.0, 's', 'length of a run; 0 = until stopped (a loop of nodes '
                                 'only)', minimum=0.0, structural=True)
     seed: int = parameter(0, '1', 'seed of everything random', minimum=0, structural=True)

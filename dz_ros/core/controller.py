@@ -21,6 +21,8 @@ from dz_ros.core.records import Command, Reference, State, Status, Terms
 
 SNAP = 1e-9
 """Stamps closer than this are the same instant [s]."""
+KEPT = 4
+"""References kept: the one of this sample, the next one, and room for disorder."""
 
 
 def accepted_interval(earlier: float, stamp: float, period: float) -> float:
@@ -54,7 +56,7 @@ class Controller:
         self._plant = configuration.plant
         self._plant_constants = configuration.plant.constants
         self._y = [0.0] * configuration.plant.regressor_count
-        self._references: deque[Reference] = deque(maxlen=4)
+        self._references: deque[Reference] = deque(maxlen=KEPT)
         self._last: tuple[State, Command, Terms] | None = None
         self._count = 0
 
@@ -69,6 +71,10 @@ class Controller:
     def has_reference(self) -> bool:
         """Whether any reference has arrived."""
         return bool(self._references)
+
+    def has_reference_for(self, state: State) -> bool:
+        """Whether the reference meant for this very state has arrived."""
+        return any(abs(item.stamp - state.stamp) < SNAP for item in self._references)
 
     def respond(self, state: State) -> tuple[Command, Terms] | None:
         """Return command and terms for a state; None where it must not be answered.

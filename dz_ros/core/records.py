@@ -162,6 +162,7 @@ class Terms:
         values: The numbers named by `TERM_NAMES`, shape (8,).
         dt: Interval by which adaptation advanced [s]; 0 = frozen.
         status: Why it was frozen, `Status` bits.
+        reference_seq: seq of the reference used.
         signals: The law's own numbers (θ̂, φ̂ as used in v, …), shape as its ``signal_names``.
     """
 
@@ -170,16 +171,18 @@ class Terms:
     values: tuple[float, ...]
     dt: float
     status: Status
+    reference_seq: int
     signals: tuple[float, ...] = ()
 
     @staticmethod
     def labels(signal_names: tuple[str, ...]) -> tuple[str, ...]:
         """Return the field names for a law with these signals."""
-        return ('seq', 'stamp', *TERM_NAMES, 'dt', 'status', *signal_names)
+        return ('seq', 'stamp', *TERM_NAMES, 'dt', 'status', 'reference_seq', *signal_names)
 
     def numbers(self) -> tuple[float, ...]:
         """Return the record as its labels name it."""
-        return (self.seq, self.stamp, *self.values, self.dt, self.status, *self.signals)
+        return (self.seq, self.stamp, *self.values, self.dt, self.status,
+                self.reference_seq, *self.signals)
 
 
 @dataclass(frozen=True)

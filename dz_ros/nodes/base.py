@@ -8,6 +8,8 @@ import time
 from typing import Any
 
 import rclpy
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
@@ -52,7 +54,8 @@ class LoopNode(Node):
         Raises:
             LoopError: Another process on this machine publishes that topic already.
         """
-        publisher = self.create_publisher(topics.TYPES[topic], topic, topics.offered(topic))
+        publisher = self.create_publisher(topics.TYPES[topic], topic,
+                                          topics.offered(topic, self.lockstep))
         try:
             self._claims.append(claim(domain_topic(publisher.topic_name)))
         except ClaimedError as error:
@@ -63,7 +66,19 @@ class LoopNode(Node):
         codec = ArrayCodec(tuple(labels))
         self._records[topic] = (publisher, codec)
         encode, publish = codec.encode, publisher.publish
-        return lambda numbers: publish(encode(numbers))
+        if not self.lockstep:
+            return lambda numbers: publish(encode(numbers))
+
+        def publish_in_turn(numbers: Sequence[float]) -> None:
+            """Publish; wait where a reader that keeps everything is behind."""
+            payload = encode(numbers)
+            while not self.stopping:
+                try:
+                    return publish(payload)
+                except rclpy_implementation.RCLError:
+                    self.count(f'a reader of {publisher.topic_name} is behind, the loop waits')
+
+        return publish_in_turn
 
     def take(self, topic: str, labels: Sequence[str],
              callback: Callable[[tuple[float, ...]], None]) -> None:
@@ -78,7 +93,13 @@ class LoopNode(Node):
                 return
             callback(numbers)
 
-        self.create_subscription(topics.TYPES[topic], topic, received, topics.NEWEST, raw=True)
+        qos = topics.LOCKSTEP if self.lockstep else topics.NEWEST
+        self.create_subscription(topics.TYPES[topic], topic, received, qos, raw=True)
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether steps happen when messages have arrived instead of at deadlines."""
+        return self.configuration.loop.timing == 'lockstep'
 
     def count(self, what: str) -> None:
         """Count a fault; log it the first time and then at each power of ten."""
@@ -142,15 +163,19 @@ class LoopNode(Node):
                 return
             self._executor.spin_once(timeout_sec=min(remaining, SPIN_LIMIT))
 
+    def spin(self) -> None:
+        """Serve one callback, or none for a while."""
+        self._executor.spin_once(timeout_sec=SPIN_LIMIT)
+
     def run(self) -> None:
         """Do the node's work until told to end; serve callbacks unless overridden."""
         while not self.stopping:
-            self._executor.spin_once(timeout_sec=SPIN_LIMIT)
+            self.spin()
 
     def close(self) -> None:
         """Let what was published reach its listeners, then release everything."""
         for publisher, _ in self._records.values():
-            publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=1.0))
+            publisher.wait_for_all_acked(Duration(seconds=1.0))
         self._executor.remove_node(self)
         self.destroy_node()
         for held in self._claims:

@@ -31,6 +31,7 @@ class Progress:
         self._epsilon_at = names.index('epsilon') if 'epsilon' in names else None
         self._samples = 0
         self._late = 0
+        self._realtime = configuration.loop.timing == 'realtime'
         self._line_ns = 0
         self._last: tuple[float, int] | None = None
         self._out = sys.stdout.fileno()
@@ -58,7 +59,7 @@ class Progress:
                    else self._epsilon)
         rate = self._every / ((taken_ns - self._line_ns) * 1e-9) if self._line_ns else None
         self._line_ns = taken_ns
-        line = json.dumps({'t': state.stamp, 'error': error, 'v': v, 'late': self._late,
+        line = json.dumps({'t': state.stamp, 'error': error, 'v': v, 'late': self._late if self._realtime else None,
                            's_over_epsilon': terms.values[0] / epsilon if epsilon else None,
                            'rate': rate})
         try:

@@ -11,7 +11,6 @@ from collections.abc import Callable
 import json
 from pathlib import Path
 import time
-from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
 
@@ -52,15 +51,14 @@ class RecorderNode(LoopNode):
         info = {**default_info(), 'mode': self.configuration.loop.timing,
                 'namespace': self.get_namespace()}
         self._path = Path(directory)
-        self._writer = QueuedWriter(RunWriter(self._path, info))
+        self._writer = QueuedWriter(RunWriter(self._path, info, {}))
         # Log times advance with the steady clock: a step of the wall clock must not reorder a run.
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
-        self._owned: dict[str, Any] = {}
         for name, channel in CHANNELS.items():
             topic = self.resolve_topic_name(name)
-            self._writer.add_topic(topic, channel)
+            self._writer.add_topic(topic, channel.type.name, channel.qos)
             self.create_subscription(topics.TYPES[name], topic, self._storer(name, topic),
-                                     topics.everything(name), raw=True)
+                                     topics.everything(name, self.lockstep), raw=True)
 
     def _storer(self, name: str, topic: str) -> Callable[[bytes, dict[str, int]], None]:
         """Return the callback that stores a topic's messages."""
@@ -92,9 +90,7 @@ class RecorderNode(LoopNode):
                                    'configuration': json.dumps(configuration)})
         owned = {key: value for key, value in configuration.items()
                  if key.partition('.')[0] in event.get('owns', ())}
-        self._owned.update(owned)
-        self._writer.add_metadata('dz_ros.configuration', {
-            key: json.dumps(value) for key, value in self._owned.items()})
+        self._writer.add_configuration(owned)
 
     def run(self) -> None:
         """Record until told to end and nothing more arrives, or until the disk refuses."""

@@ -27,16 +27,26 @@ TYPES: Mapping[str, Any] = {
 """Topic → message class."""
 
 
-def offered(topic: str) -> QoSProfile:
+LOCKSTEP = QoSProfile(history=HistoryPolicy.KEEP_ALL, depth=0,
+                      reliability=ReliabilityPolicy.RELIABLE,
+                      durability=DurabilityPolicy.VOLATILE)
+"""What everybody offers and asks for in lockstep: nothing is lost, slow readers slow the loop."""
+
+
+def offered(topic: str, lockstep: bool = False) -> QoSProfile:
     """Return what the publisher of a topic offers."""
+    if lockstep:
+        return LOCKSTEP
     qos = CHANNELS[topic].qos
     return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=qos.depth,
                       reliability=ReliabilityPolicy[qos.reliability.upper()],
                       durability=DurabilityPolicy[qos.durability.upper()])
 
 
-def everything(topic: str) -> QoSProfile:
+def everything(topic: str, lockstep: bool = False) -> QoSProfile:
     """Return what a recorder asks for: the same, with room for twice as many."""
+    if lockstep and topic != 'events':
+        return LOCKSTEP
     qos = offered(topic)
     qos.depth *= 2
     return qos
