@@ -76,14 +76,18 @@ class ArrayCodec:
             raise MessageError(f'{list(values)!r}: must be {len(self.labels)} numbers '
                                f'({", ".join(self.labels)})', self.labels) from None
 
+    def matches(self, payload: bytes) -> bool:
+        """Return whether the payload has the layout that `encode` writes, pad bytes aside."""
+        return (len(payload) == self.size and payload.startswith(self._head)
+                and payload.startswith(self._middle, self._middle_start))
+
     def decode(self, payload: bytes) -> tuple[float, ...]:
         """Return the numbers of a payload, shape (len(labels),).
 
         Raises:
             MessageError: Other labels, another length, or not such a message at all.
         """
-        if (len(payload) == self.size and payload.startswith(self._head)
-                and payload.startswith(self._middle, self._middle_start)):
+        if self.matches(payload):
             return self._unpack_from(payload, self.data_start)
         try:
             labels, values = decode_array(payload)
