@@ -11,6 +11,7 @@ import importlib
 import signal
 import sys
 from types import FrameType
+from typing import Any
 
 from dz_ros.errors import DzRosError, NO_RCLPY
 from dz_ros.runtime.process import settle
@@ -56,10 +57,19 @@ def run_node(name: str) -> int:
             raise
         code = _complain(name, _first_line(error))
     finally:
-        if node is not None:
-            node.close()
+        code = _close(name, node) or code
         rclpy.try_shutdown()
     return code
+
+
+def _close(name: str, node: Any) -> int:
+    """Close a node; return the exit code of what went wrong in it, 0 if nothing."""
+    try:
+        if node is not None:
+            node.close()
+    except DzRosError as error:
+        return _complain(name, str(error))
+    return 0
 
 
 def _complain(name: str, message: str) -> int:
