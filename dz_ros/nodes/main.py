@@ -25,11 +25,15 @@ def run_node(name: str) -> int:
     """Run one node until it is done or told to end; return the exit code."""
     try:
         import rclpy
+        from rclpy.logging import LoggingSeverity, set_logger_level
         from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
         return _complain(name, f'{NO_RCLPY} ({error})')
+    # rcl logs what it then raises as well; one line is enough.
+    set_logger_level('rcl', LoggingSeverity.FATAL)
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        set_logger_level('rcl', LoggingSeverity.UNSET)
     except Exception as error:  # noqa: BLE001  rclpy raises its own kinds for bad arguments
         return _complain(name, _first_line(error))
     node = None
