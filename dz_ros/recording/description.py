@@ -23,9 +23,10 @@ import yaml
 
 from dz_ros.errors import RecordingError
 
-INFO = 'dz_ros.info'
-CONFIGURATION = 'dz_ros.configuration'
-SUMMARY = 'dz_ros.summary'
+PREFIX = 'dz_ros.'
+INFO = f'{PREFIX}info'
+CONFIGURATION = f'{PREFIX}configuration'
+SUMMARY = f'{PREFIX}summary'
 _CHECKSUM = 'crc32'
 
 

@@ -137,7 +137,7 @@ class McapFile:
             opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, size)
             end = position + _HEAD.size + length
             if end > size and not closed:
-                self.cut = f'cut off at byte {position} of {size}'
+                self.cut = f'cut off at byte {position}; {size - position} more are incomplete'
                 break
             if end > size or not (0 < opcode <= Opcode.DATA_END or opcode >= _PRIVATE):
                 self._damaged(position, 'a record that cannot be')

@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 import re
 from typing import Any
@@ -35,15 +35,15 @@ class Source:
         cut: Where the run was cut off; empty while reading and if it is whole.
         damage: What was left out, in words.
         bag: What metadata.yaml says; {} without one.
+        storage: ``mcap`` or ``sqlite3``.
     """
-
-    storage = 'mcap'
 
     def __init__(self, path: Path, files: list[Path], bag: Mapping[str, Any],
                  skip_damage: bool = False) -> None:
         self.path = path
         self.files = files
         self.bag = bag
+        self.storage = 'sqlite3' if any('.db3' in file.name for file in files) else 'mcap'
         self.topics: dict[str, Topic] = {}
         self.metadata: list[tuple[str, Mapping[str, str]]] = []
         self.cut = ''
@@ -81,7 +81,7 @@ class Source:
         custom = self.bag.get('custom_data')
         found = {str(name): str(text) for name, text in custom.items()} if isinstance(
             custom, dict) else {}
-        for record in self._records(description.INFO):
+        for record in self._records(description.INFO, dict):
             found.update(record)
         return found
 
@@ -92,16 +92,18 @@ class Source:
             DamagedRunError: It is stored with a wrong checksum.
         """
         found: dict[str, Any] = {}
-        for record in self._records(description.CONFIGURATION):
-            found.update(description.unpack_configuration(record))
+        for record in self._records(description.CONFIGURATION,
+                                    description.unpack_configuration):
+            found.update(record)
         return found
 
-    def _records(self, wanted: str) -> Iterator[dict[str, str]]:
-        """Yield the metadata records of a name, checked."""
+    def _records(self, wanted: str, unpack: Callable[[Mapping[str, str]], dict[str, Any]]
+                 ) -> Iterator[dict[str, Any]]:
+        """Yield the metadata records of a name, checked and unpacked."""
         for name, record in self.metadata:
             if name == wanted:
                 try:
-                    yield description.unsealed(record)
+                    yield unpack(description.unsealed(record))
                 except ValueError as error:
                     reason = f'{self.path}: {wanted}: {error}'
                     if not self._skip_damage:
@@ -112,8 +114,6 @@ class Source:
 
 class RosbagsSource(Source):
     """A bag that only rosbags can open."""
-
-    storage = 'sqlite3'
 
     def batches(self) -> Iterator[list[Message]]:
         """Yield all messages by log time, some at a time; publish times are log times.

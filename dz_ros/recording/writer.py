@@ -187,14 +187,18 @@ class RunWriter:
             self.flush()
 
     def add_metadata(self, name: str, mapping: Mapping[str, str]) -> None:
-        """Store texts under a name, on disk at once; the reader takes the last of a name.
+        """Store texts under a name, on disk at once.
+
+        Records called ``dz_ros.…`` get a checksum; a reader takes the last text of a key.
 
         Raises:
             RecordingError: The file cannot be written.
         """
         self._usable()
         record = {str(key): description.sendable(str(text)) for key, text in mapping.items()}
-        self._guard(lambda: self._mcap.add_metadata(name, description.sealed(record)))
+        if name.startswith(description.PREFIX):
+            record = description.sealed(record)
+        self._guard(lambda: self._mcap.add_metadata(name, record))
         self.flush()
 
     def add_configuration(self, configuration: Mapping[str, Any]) -> None:
