@@ -214,7 +214,8 @@ class _Body:
 
     def doubles(self, count: int) -> tuple[float, ...]:
         """Return the next `count` doubles."""
-        if not count:
+        if not count:      # some writers align for the element that does not come, some do not
+            self._position = min(_aligned(self._position, 8), len(self._data))
             return ()
         start = self._take(8 * count, 8)
         return struct.unpack_from(f'{self._order}{count}d', self._data, start)
