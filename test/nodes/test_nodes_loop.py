@@ -27,14 +27,15 @@ def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
     data = read_run(tmp_path / 'run')
     state, command, terms = (data.channels[name] for name in ('state', 'command', 'terms'))
     assert list(state['seq']) == list(range(len(state)))
-    for name in ('command', 'terms', 'truth'):
-        assert set(data.channels[name]['seq']) >= set(state['seq'][:-1])
+    # Each publisher counts on its own: nothing got lost on the way, even if the machine stalled.
+    for name, channel in data.channels.items():
+        assert list(channel['seq']) == list(range(len(channel))), name
+    assert np.array_equal(command['echo_seq'], terms['echo_seq'])
     assert tuple(state.values[0, 2:4]) == (-2.5, 3.5)
     assert state['stamp'][-1] == pytest.approx(6.0)
     assert np.all(np.diff(state['stamp']) > 0.004)
     # A state echoes the newest command before it: within one sample unless the machine stalls.
     assert np.median(state['seq'][1:] - state['echo_seq'][1:]) == 1
-    assert np.all(command['echo_seq'] == np.round(command['seq']))
     assert np.all(state['round_trip'][2:] > 0.0)
     assert np.all(command['hold'] > 0.0)
     assert terms['theta1'][0] == 0.85
