@@ -1,6 +1,7 @@
 """Filtered error, its weights and the set it converges to, against polynomials of numpy."""
 
-from hypothesis import given, strategies as st
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 

@@ -2,7 +2,8 @@
 
 import math
 
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 from scipy import interpolate, signal, stats
@@ -88,7 +89,7 @@ def test_multisine_is_the_sum_of_its_sinusoids():
     for t in (0.0, 0.37, 5.0, 123.4):
         phasors = [a * np.exp(1j * (w * t + p)) * (1j * w) ** np.arange(4) for a, w, p in zip(
             values['amplitudes'], values['frequencies'], values['phases'], strict=True)]
-        expected = np.imag(np.sum(phasors, axis=0)) + [0.5, 0.0, 0.0, 0.0]
+        expected = np.imag(np.sum(phasors, axis=0)) + np.array([0.5, 0.0, 0.0, 0.0])
         assert trajectory(t) == pytest.approx(expected, abs=1e-12)
 
 
@@ -159,8 +160,8 @@ def test_waypoints_are_scipy_s_clamped_spline(order, count):
     times = np.cumsum(generator.uniform(0.3, 3.0, count))
     positions = generator.normal(size=count)
     trajectory = make('waypoints', {'times': times, 'positions': positions}, order)
-    rest = [(i, 0.0) for i in range(1, order + 1)]
-    expected = interpolate.make_interp_spline(times, positions, 2 * order + 1, bc_type=(rest, rest))
+    rest = ([(i, 0.0) for i in range(1, order + 1)],) * 2
+    expected = interpolate.make_interp_spline(times, positions, 2 * order + 1, bc_type=rest)
     inside = np.linspace(times[0], times[-1], 201)[1:-1]
     found = np.array([trajectory(t) for t in inside])
     for i in range(order + 1):
