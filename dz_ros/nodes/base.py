@@ -114,16 +114,17 @@ class LoopNode(Node):
         text = json.dumps({'node': self.get_fully_qualified_name(), 'event': name, **details})
         self._events.publish(topics.TYPES['events'](data=text))
 
-    def announce(self, *owns: str) -> None:
+    def announce(self, *owns: str, **details: Any) -> None:
         """Publish the configuration this node runs with.
 
         Args:
             *owns: Sections in which this node's values are the loop's.
+            **details: What else the node has to say of its beginning.
         """
         self.event('configuration', version=version(), owns=owns,
                    rmw=rclpy.get_rmw_implementation_identifier(),
                    configuration=self.configuration.to_flat(),
-                   set_aside=self.configuration.set_aside)
+                   set_aside=self.configuration.set_aside, **details)
 
     def missing(self) -> list[str]:
         """Return which peers do not listen yet to what this node publishes, in words."""
