@@ -204,10 +204,11 @@ def _omega_share(error: Array, epsilon: Array, setting: Setting) -> float | None
 def _highpass_rms(rows: Aligned, setting: Setting, inside: NDArray[np.bool_]) -> float | None:
     """Return the RMS of high-passed v in the window, missing commands interpolated over."""
     known = np.isfinite(rows.v)
-    span = int(rows.seq[-1] - rows.seq[0]) + 1
-    if setting.period is None or not known.any() or span > 4 * len(rows.seq):
+    if setting.period is None or not known.any():
         return None
-    every = np.arange(rows.seq[0], rows.seq[-1] + 1)
-    v = np.interp(every, rows.seq[known], rows.v[known])
+    place = np.rint((rows.t - rows.t[0]) / setting.period)
+    if place[-1] > 4 * len(place):
+        return None
+    v = np.interp(np.arange(place[-1] + 1.0), place[known], rows.v[known])
     rest = high_passed(v, 1.0 / setting.period)
-    return None if rest is None else rms(rest[rows.seq[inside] - rows.seq[0]])
+    return None if rest is None else rms(rest[place[inside].astype(np.int64)])
