@@ -91,8 +91,8 @@ def read_run(path: Path, namespace: str | None = None) -> RunData:
                 if channel == EVENTS:
                     events.setdefault(place, []).extend(_event(item) for item in messages)
                     continue
-                _, log_times, publish_times, payloads = zip(*messages, strict=True)
-                tables.setdefault(name, Table(name)).add(log_times, publish_times, payloads)
+                _, payloads, log_times, publish_times = zip(*messages, strict=True)
+                tables.setdefault(name, Table(name)).add(payloads, log_times, publish_times)
     except MessageError as error:
         raise RecordingError(f'{path}: {error}') from None
     chosen = _choose(source, wanted, {_split(name)[0] for name in tables} or set(events))
