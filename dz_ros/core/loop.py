@@ -87,7 +87,8 @@ def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity
              out_applied: Buffer, out_truth: Buffer, out_terms: Buffer) -> None:
         n = len(x)
         h = period / substeps
-        measured, k1, k2, k3, k4, stage = work
+        measured, k1, k2 = work[0], work[1], work[2]
+        k3, k4, stage = work[3], work[4], work[5]
         for k in range(last + 1):
             t = k * period
             for i in range(n):
@@ -129,35 +130,40 @@ def measurement_noise(configuration: Configuration, samples: int) -> Array:
     return np.asarray(generator.standard_normal((samples, order)) * sigma)
 
 
-def simulate(configuration: Configuration) -> Run:
+def simulate(configuration: Configuration, loop: Loop | None = None) -> Run:
     """Return the closed loop of a configuration, from t = 0 to its duration.
+
+    Args:
+        configuration: What to run.
+        loop: A loop compiled for this combination of law, plant and trajectory (see
+            `dz_ros.core.compiled`), which works on arrays; None = plain Python, on lists.
 
     Raises:
         OverflowError, ValueError: The loop diverged beyond what its functions can evaluate. One
             that ends in infinities or NaN without that is returned as it is.
     """
     c = configuration
-    last = c.loop.samples
+    count = c.loop.samples + 1
     n, r = c.plant.order, c.plant.regressor_count
     width = STATUS + 1 + len(c.law.signal_names)
-    memory = list(c.law.initial_memory())
-    noise = measurement_noise(c, last + 1)
-
-    def rows(columns: int) -> list[list[float]]:
-        return [[0.0] * columns for _ in range(last + 1)]
-
-    out_x, out_measured, out_x_d, out_truth, out_terms = (
-        rows(n), rows(n), rows(n + 1), rows(3), rows(width))
-    out_v, out_applied = [0.0] * (last + 1), [0.0] * (last + 1)
-    make_loop(c)(last, c.loop.period, c.plant_settings.substeps, c.loop.delay,
-                 c.plant_settings.command_limit, c.plant.constants, c.dead_zone.constants,
-                 c.trajectory.constants, c.law.constants, list(c.x0), [0.0] * r, [0.0] * (n + 1),
-                 memory, [0.0] * len(memory), [0.0] * width, [[0.0] * n for _ in range(6)],
-                 noise.tolist(), out_x, out_measured, out_x_d, out_v, out_applied, out_truth,
-                 out_terms)
-    arrays = [np.asarray(item, dtype=float) for item in (
-        [k * c.loop.period for k in range(last + 1)], out_x, out_measured, out_x_d, out_v,
-        out_applied, out_truth, out_terms)]
+    memory = c.law.initial_memory()
+    results = [np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, n + 1)),
+               np.zeros(count), np.zeros(count), np.zeros((count, 3)), np.zeros((count, width))]
+    arguments: list[Any] = [
+        c.plant.constants, c.dead_zone.constants, c.trajectory.constants, c.law.constants,
+        c.x0, np.zeros(r), np.zeros(n + 1), memory, np.zeros(len(memory)), np.zeros(width),
+        np.zeros((6, n)), measurement_noise(c, count), *results]
+    if loop is None:
+        loop = make_loop(c)
+        arguments = [item.tolist() if isinstance(item, np.ndarray) else list(item)
+                     for item in arguments]
+        results = arguments[-7:]
+    else:
+        arguments = [np.asarray(item, dtype=float) for item in arguments]
+    loop(c.loop.samples, c.loop.period, c.plant_settings.substeps, c.loop.delay,
+         c.plant_settings.command_limit, *arguments)
+    t = [k * c.loop.period for k in range(count)]
+    arrays = [np.asarray(item, dtype=float) for item in (t, *results)]
     for array in arrays:
         array.flags.writeable = False
     return Run(c, *arrays)
