@@ -28,6 +28,8 @@ READ_AHEAD = 1000
 """Messages kept ready."""
 LATE_NS = 1_000_000
 """A message taken later than this after its deadline counts as late [ns]."""
+RATES = (1e-6, 1e9)
+"""Allowed rates."""
 _SHORTEST_LAP_NS = 1_000_000
 """A lap takes at least this long, also where all its messages have the same time."""
 
@@ -87,40 +89,52 @@ class Player:
         self._start = self.first_ns + round(start * 1e9)
         self._limit = self._start + round(duration * 1e9) if duration else None
         self._queue: deque[_Due] = deque()
+        self._ended = self._begun = False
         self._laps = 0
         self._anchor_time = self._start
         self._anchor_ns = 0
         self._stream = self._items(self._start)
-        self.read_ahead()
+        self._fill()
         if not self._queue:
             raise RecordingError(f'nothing to play: no message of the chosen topics from {start:g}'
                                  f' s on{f", for {duration:g} s" if duration else ""}')
 
     def begin(self) -> None:
-        """Let time run from now on; a paused player stands at its start."""
+        """Let time run from now on, unless paused."""
         self._anchor_ns = self._clock()
+        self._begun = True
 
     @property
     def finished(self) -> bool:
-        """Whether everything was taken and nobody holds the player."""
-        return not self._queue and not self.paused and not self.read_ahead()
+        """Whether everything was taken, and nobody holds the player to seek."""
+        return self._ended and not self._queue and not self.paused
 
     @property
     def low(self) -> bool:
-        """Whether `read_ahead` should be called when there is time."""
-        return len(self._queue) < READ_AHEAD
+        """Whether `read_ahead` should be called when there is time for it."""
+        return len(self._queue) < READ_AHEAD and not self._ended
+
+    def read_ahead(self) -> None:
+        """Read some messages, what one chunk of the file holds.
+
+        Raises:
+            RecordingError: The run cannot be read further.
+        """
+        found = next(self._stream, None)
+        if found is None:
+            self._ended = True
+        else:
+            self._queue.extend(found)
 
     @property
     def due_ns(self) -> int | None:
         """Deadline of the next message on the steady clock [ns]; None while there is none."""
-        if self.paused or not self._queue:
+        if self._stands or not self._queue:
             return None
         return self._anchor_ns + round((self._queue[0].time - self._anchor_time) / self.rate)
 
     def take(self) -> Message | None:
         """Return the next message if its time has come."""
-        if not self._queue:
-            self.read_ahead()
         due, now = self.due_ns, self._clock()
         if due is None or due > now:
             return None
@@ -134,23 +148,14 @@ class Player:
         Returns:
             None where it is not paused or nothing is left.
         """
-        if not self.paused or not (self._queue or self.read_ahead()):
+        if not self.paused:
             return None
-        self._anchor_time = self._queue[0].time
+        while not self._queue and not self._ended:
+            self.read_ahead()
+        if not self._queue:
+            return None
+        self._anchor_time = max(self._anchor_time, self._queue[0].time)
         return self._pop()
-
-    def read_ahead(self) -> bool:
-        """Read some messages if fewer than `READ_AHEAD` are ready; return whether any are.
-
-        Raises:
-            RecordingError: The run cannot be read further.
-        """
-        while len(self._queue) < READ_AHEAD:
-            found = next(self._stream, None)
-            if found is None:
-                break
-            self._queue.extend(found)
-        return bool(self._queue)
 
     def pause(self) -> None:
         """Let time stand still."""
@@ -168,22 +173,12 @@ class Player:
         """Change the rate from now on.
 
         Raises:
-            ConfigurationError: It is not a number > 0.
+            ConfigurationError: It is none.
         """
         rate = checked_rate(rate)
         self._anchor_time = self._time()
         self._anchor_ns = self._clock()
         self.rate = rate
-
-    @property
-    def time_ns(self) -> int:
-        """Where the player is, in the time of the log [ns since the epoch]."""
-        return self._time() - self._laps
-
-    @property
-    def offset(self) -> float:
-        """The same from the run's first message on [s]."""
-        return (self.time_ns - self.first_ns) * 1e-9
 
     def seek(self, time_ns: int) -> bool:
         """Go to an instant: what is logged from then on comes next.
@@ -200,17 +195,37 @@ class Player:
         time_ns = max(time_ns, self.first_ns)
         self._queue.clear()
         self._laps = 0
+        self._ended = False
         self._stream = self._items(time_ns)
+        self._fill()
         self._anchor_time = time_ns
         self._anchor_ns = self._clock()
-        return self.read_ahead()
+        return bool(self._queue)
+
+    @property
+    def time_ns(self) -> int:
+        """Where the player is, in the time of the log [ns since the epoch]."""
+        return self._time() - self._laps
+
+    @property
+    def offset(self) -> float:
+        """The same from the run's first message on [s]."""
+        return (self.time_ns - self.first_ns) * 1e-9
+
+    @property
+    def _stands(self) -> bool:
+        return self.paused or not self._begun
 
     def _time(self) -> int:
         """Return where the player is, with the laps before added [ns]."""
-        if self.paused:
+        if self._stands:
             return self._anchor_time
-        passed = round((self._clock() - self._anchor_ns) * self.rate)
-        return self._anchor_time + max(passed, 0)
+        return self._anchor_time + round((self._clock() - self._anchor_ns) * self.rate)
+
+    def _fill(self) -> None:
+        """Read until `READ_AHEAD` messages are ready or the run ends."""
+        while self.low:
+            self.read_ahead()
 
     def _pop(self) -> Message:
         """Return the next message as played."""
@@ -219,44 +234,40 @@ class Player:
         return message
 
     def _items(self, begin: int) -> Iterator[list[_Due]]:
-        """Yield what is to be played from a time of the log on, lap by lap, some at a time."""
+        """Yield what is to be played from a time of the log on, lap by lap, some at a time.
+
+        A list may be empty: what was read holds nothing to be played.
+        """
         laps = 0
         while True:
-            played, last = False, self._start
-            for found in self._lap(begin):
-                played, last = True, found[-1][0]
-                yield [_Due(time + laps, laps, message) for time, message in found]
+            played = over = False
+            now = 0
+            for batch in self._open():
+                found = []
+                for message in batch:
+                    now = max(now, message.log_time)
+                    if self._limit is not None and now > self._limit:
+                        now, over = self._limit, True
+                        break
+                    if now >= begin and (self._topics is None or message.topic in self._topics):
+                        found.append(_Due(now + laps, laps, message))
+                played = played or bool(found)
+                yield found
+                if over:
+                    break
             if not self._loop or not (played or begin > self._start):
                 return
-            end = last if self._limit is None else max(self._limit, begin)
-            laps += max(end - self._start, _SHORTEST_LAP_NS)
+            laps += max(max(now, begin) - self._start, _SHORTEST_LAP_NS)
             begin = self._start
-
-    def _lap(self, begin: int) -> Iterator[list[tuple[int, Message]]]:
-        """Yield (time, message) of one lap, some at a time; time never goes back."""
-        limit = math.inf if self._limit is None else max(self._limit, begin)
-        topics = self._topics
-        now = 0
-        for batch in self._open():
-            found = []
-            for message in batch:
-                now = max(now, message.log_time)
-                if now > limit:
-                    break
-                if now >= begin and (topics is None or message.topic in topics):
-                    found.append((now, message))
-            if found:
-                yield found
-            if now > limit:
-                return
 
 
 def checked_rate(rate: float) -> float:
     """Return a rate.
 
     Raises:
-        ConfigurationError: It is not a number > 0.
+        ConfigurationError: It is none.
     """
-    if not (math.isfinite(rate) and rate > 0.0):
-        raise ConfigurationError('rate', rate, 'must be a number > 0')
+    low, high = RATES
+    if not low <= rate <= high:
+        raise ConfigurationError('rate', rate, f'must be a number from {low:g} to {high:g}')
     return float(rate)
