@@ -82,37 +82,37 @@ def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity
 
     def loop(last: int, period: float, substeps: int, delay: int, limit: float, plant: Numbers,
              zone_numbers: Numbers, motion: Numbers, gains: Numbers, x: Buffer, y: Buffer,
-             x_d: Buffer, memory: Buffer, new_memory: Buffer, terms: Buffer, work: Buffer,
+             x_d: Buffer, memory: Buffer, new_memory: Buffer, terms: Buffer, measured: Buffer,
+             k1: Buffer, k2: Buffer, k3: Buffer, k4: Buffer, stage: Buffer,
              noise: Buffer, out_x: Buffer, out_measured: Buffer, out_x_d: Buffer, out_v: Buffer,
              out_applied: Buffer, out_truth: Buffer, out_terms: Buffer) -> None:
         n = len(x)
+        width = len(terms)
         h = period / substeps
-        measured, k1, k2 = work[0], work[1], work[2]
-        k3, k4, stage = work[3], work[4], work[5]
         for k in range(last + 1):
             t = k * period
             for i in range(n):
-                out_x[k][i] = x[i]
-                measured[i] = x[i] + noise[k][i]
-                out_measured[k][i] = measured[i]
+                out_x[k * n + i] = x[i]
+                measured[i] = x[i] + noise[k * n + i]
+                out_measured[k * n + i] = measured[i]
             evaluate(t, motion, x_d)
             regressors(measured, plant, y)
             v = kernel(gains, memory, x_d, measured, y, period, new_memory, terms)
             for i in range(len(memory)):
                 memory[i] = new_memory[i]
             for i in range(n + 1):
-                out_x_d[k][i] = x_d[i]
-            for i in range(len(terms)):
-                out_terms[k][i] = terms[i]
+                out_x_d[k * (n + 1) + i] = x_d[i]
+            for i in range(width):
+                out_terms[k * width + i] = terms[i]
             out_v[k] = v
             held = out_v[k - delay] if k >= delay else 0.0
             if limit > 0.0:
                 held = min(max(held, -limit), limit)
             w = zone(held, t, zone_numbers)
             out_applied[k] = held
-            out_truth[k][0] = w
-            out_truth[k][1] = rest(held, w, t, zone_numbers)
-            out_truth[k][2] = disturbance(t, x, plant)
+            out_truth[3 * k] = w
+            out_truth[3 * k + 1] = rest(held, w, t, zone_numbers)
+            out_truth[3 * k + 2] = disturbance(t, x, plant)
             if k < last:
                 advance(x, held, t, h, substeps, plant, zone_numbers, y, k1, k2, k3, k4, stage)
 
@@ -147,23 +147,21 @@ def simulate(configuration: Configuration, loop: Loop | None = None) -> Run:
     n, r = c.plant.order, c.plant.regressor_count
     width = STATUS + 1 + len(c.law.signal_names)
     memory = c.law.initial_memory()
-    results = [np.zeros((count, n)), np.zeros((count, n)), np.zeros((count, n + 1)),
-               np.zeros(count), np.zeros(count), np.zeros((count, 3)), np.zeros((count, width))]
-    arguments: list[Any] = [
-        c.plant.constants, c.dead_zone.constants, c.trajectory.constants, c.law.constants,
-        c.x0, np.zeros(r), np.zeros(n + 1), memory, np.zeros(len(memory)), np.zeros(width),
-        np.zeros((6, n)), measurement_noise(c, count), *results]
+    columns = (n, n, n + 1, 1, 1, 3, width)
+    numbers = (c.plant.constants, c.dead_zone.constants, c.trajectory.constants, c.law.constants,
+               c.x0, np.zeros(r), np.zeros(n + 1), memory, np.zeros(len(memory)),
+               np.zeros(width), *np.zeros((6, n)), measurement_noise(c, count).ravel(),
+               *(np.zeros(count * item) for item in columns))
+    arguments: list[Any] = [np.array(item, dtype=float) for item in numbers]
     if loop is None:
         loop = make_loop(c)
-        arguments = [item.tolist() if isinstance(item, np.ndarray) else list(item)
-                     for item in arguments]
-        results = arguments[-7:]
-    else:
-        arguments = [np.asarray(item, dtype=float) for item in arguments]
+        arguments = [item.tolist() for item in arguments]
     loop(c.loop.samples, c.loop.period, c.plant_settings.substeps, c.loop.delay,
          c.plant_settings.command_limit, *arguments)
-    t = [k * c.loop.period for k in range(count)]
-    arrays = [np.asarray(item, dtype=float) for item in (t, *results)]
+    arrays: list[Array] = [np.arange(count) * c.loop.period]
+    for item, wide in zip(arguments[-len(columns):], columns, strict=True):
+        array = np.asarray(item, dtype=float)
+        arrays.append(array if wide == 1 else array.reshape(count, wide))
     for array in arrays:
         array.flags.writeable = False
     return Run(c, *arrays)
