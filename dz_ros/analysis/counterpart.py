@@ -14,6 +14,9 @@ def without_dead_zone(view: View) -> RunData | None:
     """Return the run of the same configuration with D(v) = v, simulated off line.
 
     None where the run has no configuration that works here, or has no dead-zone itself.
+
+    Raises:
+        OverflowError: Without dead-zone the loop diverges.
     """
     c = view.setting.configuration
     if c is None or (c.dead_zone.b_r == c.dead_zone.b_l == 0.0 and not c.dead_zone.constants[0]):

@@ -70,15 +70,22 @@ def write_report(run: RunData, out: Path, *, without_dead_zone: RunData | None =
         MissingDependencyError: matplotlib is not installed.
     """
     view = View.of(run, window=window, kick=kick, tolerance=tolerance)
-    other = None
-    if without_dead_zone is not None:
-        other = View.of(without_dead_zone, tolerance=view.metrics.tolerance)
+    other = None if without_dead_zone is None else looked_at_alike(without_dead_zone, view)
     drawn = [(picture, picture.png()) for picture in pictures(view, other)]
     files = {f'{picture.name}.png': data for picture, data in drawn}
     files[PAGE] = compose(view, other, drawn, title).encode()
     stale = [f'{name}.png' for name in PICTURES if f'{name}.png' not in files]
     write_files(out, files, stale)
     return out / PAGE
+
+
+def looked_at_alike(run: RunData, view: View) -> View:
+    """Return another run, looked at over the same window where it has samples there."""
+    found = View.of(run, tolerance=view.metrics.tolerance)
+    begin, end = view.metrics.window
+    if found.rows.t[0] > begin + 1e-9 or found.rows.t[-1] < end - 1e-9:
+        return found
+    return View.of(run, window=view.metrics.window, tolerance=view.metrics.tolerance)
 
 
 def compose(view: View, other: View | None, drawn: Iterable[tuple[Picture, bytes]],

@@ -90,6 +90,8 @@ def numbers(view: View, other: View | None) -> str:
     begin, end = view.metrics.window
     caption = (f'Window {begin:.4g} to {end:.4g} s, {view.metrics.samples} samples; settled means '
                f'|x̃| < {number(view.metrics.tolerance, view.setting.unit("x0"))}.')
+    if other is not None and other.metrics.window != view.metrics.window:
+        caption += ' Without dead-zone: {:.4g} to {:.4g} s.'.format(*other.metrics.window)
     return page.table([*head, 'what it is'], metric_rows(views), caption,
                       range(1, 1 + len(views)))
 
