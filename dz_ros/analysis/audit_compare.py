@@ -81,13 +81,13 @@ def compare_steps(run: RunData, samples: Samples, rows: Integers, decided: Decid
                       expected[at - rows[0]])
 
     stamp, known = samples.stamp[rows], samples.state[rows] >= 0
-    echo = column(run.channels.get('command'), 'echo_seq', samples.command[rows])
+    echo = column(run.channels.get('state'), 'seq', samples.state[rows])
     linked = outputs.linked
     for j, name in enumerate(memory_names(c.law)):
         tally.add(f'memory.{name}', rows[linked], outputs.told[linked, j],
                   outputs.expected[linked, j])
     field('terms', 'stamp', stamp, known)
-    field('terms', 'echo_seq', echo, samples.command[rows] >= 0)
+    field('terms', 'echo_seq', echo, known)
     status = decided.status + np.array([
         float(int(bits) & ~int(own)) for bits, own in zip(
             np.nan_to_num(outputs.terms[:, STATUS]), decided.status, strict=True)])
@@ -96,6 +96,7 @@ def compare_steps(run: RunData, samples: Samples, rows: Integers, decided: Decid
     for j, name in enumerate((*TERM_NAMES, '', *c.law.signal_names)):
         if name:
             field('terms', name, outputs.terms[:, j], outputs.done)
+    field('command', 'echo_seq', echo, known)
     field('command', 'stamp', stamp, known)
     field('command', 'echo_stamp', stamp, known)
     field('command', 'v', outputs.v, outputs.done)

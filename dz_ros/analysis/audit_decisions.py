@@ -59,11 +59,10 @@ def decide(run: RunData, samples: Samples, rows: Integers, c: Configuration) -> 
         carried = np.abs(moved) >= SNAP
         late = carried & (np.abs(moved) > 2.0 * period)
     x_d = [tuple(row) for row in table.tolist()]
-    for i in np.flatnonzero(carried).tolist():
-        seq, own = int(samples.seq[rows[i]]), float(stamp[i] - moved[i])
-        if references is not None:
-            own = float(references['stamp'][at[i]])
-        x_d[i] = Reference(seq, own, x_d[i]).at(float(stamp[i])).x_d
+    if references is not None:
+        for i in np.flatnonzero(carried).tolist():
+            own = Reference(0, float(references['stamp'][at[i]]), x_d[i])
+            x_d[i] = own.at(float(stamp[i])).x_d
     follows = samples.follows[rows]
     first = samples.seq[rows] == 0
     earlier = samples.stamp[np.maximum(rows - 1, 0)]
