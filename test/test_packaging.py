@@ -19,12 +19,14 @@ from dz_ros.cli import main as cli
 from dz_ros.core import schema
 from dz_ros.core.configuration import Configuration
 from dz_ros.files import flat_parameters
+from dz_ros.nodes.main import NODES
 
 ROOT = Path(dz_ros.__file__).parents[1]
 CONFIGURATIONS = sorted((ROOT / 'config').glob('*.yaml'))
 DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
 
 IMPORTED = {
+    'builtin_interfaces': ('ros-rclpy', 'builtin_interfaces'),
     'builtin_interfaces': ('ros-rclpy', 'builtin_interfaces'),
     'matplotlib': ('matplotlib', 'python3-matplotlib'),
     'mcap': ('mcap', 'mcap-ros2-support'),
