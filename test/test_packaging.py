@@ -27,7 +27,6 @@ DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs
 
 IMPORTED = {
     'builtin_interfaces': ('ros-rclpy', 'builtin_interfaces'),
-    'builtin_interfaces': ('ros-rclpy', 'builtin_interfaces'),
     'matplotlib': ('matplotlib', 'python3-matplotlib'),
     'mcap': ('mcap', 'mcap-ros2-support'),
     'numpy': ('numpy', 'python3-numpy'),
@@ -146,8 +145,7 @@ def test_wheels_of_ros_are_pinned(described):
 
 def test_entry_points_lead_to_functions(described):
     scripts = dict(text.split(' = ') for text in described['entry_points']['console_scripts'])
-    assert set(scripts) == {'dz', 'plant_node', 'controller_node', 'trajectory_node',
-                            'recorder_node', 'replay_node'}
+    assert set(scripts) == {'dz', *NODES}
     for target in scripts.values():
         module, _, function = target.partition(':')
         assert callable(getattr(importlib.import_module(module), function))
@@ -164,6 +162,11 @@ def test_everything_that_belongs_to_an_installation_is_in_it(described):
     for path in (ROOT / 'dz_ros').rglob('*.py'):
         assert (path.parent / '__init__.py').is_file(), f'{path.parent} would not be installed'
     assert described['packages'] == ['dz_ros', 'dz_ros.*']
+
+
+def test_no_dependency_is_named_twice(manifest):
+    named = [item.text for item in manifest if item.tag.endswith('_depend')]
+    assert len(named) == len(set(named))
 
 
 @pytest.mark.parametrize('path', CONFIGURATIONS, ids=lambda path: path.stem)
