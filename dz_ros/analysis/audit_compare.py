@@ -88,9 +88,8 @@ def compare_steps(run: RunData, samples: Samples, rows: Integers, decided: Decid
                   outputs.expected[linked, j])
     field('terms', 'stamp', stamp, known)
     field('terms', 'echo_seq', echo, known)
-    status = decided.status + np.array([
-        float(int(bits) & ~int(own)) for bits, own in zip(
-            np.nan_to_num(outputs.terms[:, STATUS]), decided.status, strict=True)])
+    own = decided.status.astype(np.int64)
+    status = (own | np.nan_to_num(outputs.terms[:, STATUS]).astype(np.int64)).astype(float)
     field('terms', 'dt', np.asarray(decided.dt), decided.known & (samples.reference[rows] >= 0))
     field('terms', 'status', status, decided.known & outputs.done)
     for j, name in enumerate((*TERM_NAMES, '', *c.law.signal_names)):
