@@ -4,6 +4,7 @@
     ├── ConfigurationError          a key, its value, what is allowed     (also ValueError)
     │   └── UnknownNameError        a plant, law, trajectory, driver name (also LookupError)
     ├── MissingDependencyError      an optional package is not installed  (also ImportError)
+    ├── MessageError                bytes or labels are not the topic's   (also ValueError)
     ├── RecordingError              a run that cannot be written or read
     │   ├── RunExistsError          refuses to overwrite                  (also FileExistsError)
     │   ├── RunNotFoundError        nothing there                         (also FileNotFoundError)
@@ -50,6 +51,21 @@ class MissingDependencyError(DzRosError, ImportError):
     """An optional package is needed for this and is not installed."""
 
 
+class MessageError(DzRosError, ValueError):
+    """A message whose bytes or labels are not those its topic carries.
+
+    Attributes:
+        expected: Labels the topic carries; empty where any would do.
+        got: Labels found; empty where the message has none or cannot be read.
+    """
+
+    def __init__(self, reason: str, expected: tuple[str, ...] = (),
+                 got: tuple[str, ...] = ()) -> None:
+        self.expected = expected
+        self.got = got
+        super().__init__(reason)
+
+
 class RecordingError(DzRosError):
     """A run that cannot be written or read."""
 
@@ -68,3 +84,8 @@ class DamagedRunError(RecordingError):
 
 class LoopError(DzRosError, RuntimeError):
     """The running loop cannot start or go on."""
+
+
+NO_RCLPY = ('rclpy is not installed here: source an installed ROS 2 Jazzy, or '
+            "pip install 'dz_ros[ros]' on CPython 3.10 to 3.13")
+"""What to say where a node cannot start."""

@@ -39,10 +39,14 @@ class LoopSettings:
                            structural=True)
     timing: str = parameter('realtime', '', 'realtime: absolute deadlines of the wall; lockstep: '
                             'as fast as the messages come, stamp = kT', structural=True,
-                            choices=('realtime',))
+                            choices=('realtime', 'lockstep'))
     duration: float = parameter(20.0, 's', 'length of a run; 0 = until stopped (a loop of nodes '
                                 'only)', minimum=0.0, structural=True)
     seed: int = parameter(0, '1', 'seed of everything random', minimum=0, structural=True)
+    peers: tuple[str, ...] = parameter(
+        ('plant_node', 'controller_node', 'trajectory_node'), '', 'names of the nodes that must '
+        'be there before the first sample; add recorder_node to have it recorded',
+        structural=True)
 
     @property
     def period(self) -> float:
@@ -125,7 +129,7 @@ class Configuration:
     """A checked configuration, ready to run.
 
     Attributes:
-        loop, plant_settings, controller_settings: Sections' common settings.
+        loop, plant_settings, controller_settings, trajectory_settings: Common settings.
         dead_zone: The actuator's dead-zone.
         plant: The plant.
         law: The law, for this plant's structure and this rate.
@@ -138,6 +142,7 @@ class Configuration:
     loop: LoopSettings
     plant_settings: PlantSettings
     controller_settings: ControllerSettings
+    trajectory_settings: TrajectorySettings
     dead_zone: DeadZone
     plant: Plant
     law: Law
@@ -169,7 +174,7 @@ class Configuration:
         plant = model(parameters)
         controller, law_class, gains = built['controller']
         law = law_class(gains, plant.order, plant.regressor_count, loop.period)
-        _, trajectory_class, motion = built['trajectory']
+        trajectory_settings, trajectory_class, motion = built['trajectory']
         if plant.order > trajectory_class.max_order:
             raise ConfigurationError('trajectory.kind', trajectory_class.name,
                                      f'gives {trajectory_class.max_order} derivatives, the plant '
@@ -183,15 +188,14 @@ class Configuration:
         if len(noise) != plant.order:
             raise ConfigurationError('plant.noise', list(noise), 'must have 1 or '
                                      f'{plant.order} numbers')
-        return cls(loop, settings, controller, dead_zone, plant, law, trajectory, x0, noise,
-                   tuple(set_aside))
+        return cls(loop, settings, controller, trajectory_settings, dead_zone, plant, law,
+                   trajectory, x0, noise, tuple(set_aside))
 
     def to_flat(self) -> dict[str, Any]:
         """Return every key of this configuration with its value; arrays as lists."""
         groups = {'loop': (self.loop,), 'plant': (self.plant_settings, self.plant.parameters),
                   'controller': (self.controller_settings, self.law.gains),
-                  'trajectory': (TrajectorySettings(kind_of(self.trajectory)),
-                                 self.trajectory.parameters),
+                  'trajectory': (self.trajectory_settings, self.trajectory.parameters),
                   'plant.dead_zone': (self.dead_zone,)}
         return {f'{prefix}.{name}': value for prefix, members in groups.items()
                 for group in members for name, value in schema.to_dict(group).items()}
@@ -199,16 +203,6 @@ class Configuration:
     def replace(self, **overrides: Any) -> Configuration:
         """Return this configuration with dotted keys changed (``**{'loop.delay': 1}``)."""
         return self.from_flat({**self.to_flat(), **overrides})
-
-
-def kind_of(thing: Any) -> str:
-    """Return the name by which a configuration chooses this plant, law or trajectory."""
-    cls = type(thing)
-    for registry in (PLANTS, LAWS, TRAJECTORIES):
-        if registry.builtin.get(cls.name) is cls or registry.installed().get(
-                cls.name) == f'{cls.__module__}:{cls.__qualname__}':
-            return str(cls.name)
-    return f'{cls.__module__}:{cls.__qualname__}'
 
 
 def _section(name: str, values: Mapping[str, Any],

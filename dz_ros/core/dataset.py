@@ -87,9 +87,12 @@ def from_run(run: Run, start_ns: int = 0) -> RunData:
 
     return RunData({
         'reference': channel(Reference.labels(order), seq, run.t, run.x_d),
-        'state': channel(State.labels(order), seq, run.t, run.x_measured, before, before_t),
-        'command': channel(Command.labels(), seq, run.t, run.v, seq, run.t),
+        'state': channel(State.labels(order), seq, run.t, run.x_measured, before, before_t,
+                         np.zeros(count)),
+        'command': channel(Command.labels(), seq, run.t, run.v, seq, run.t,
+                           np.zeros(count)),
         'terms': channel(Terms.labels(c.law.signal_names), seq, run.t, run.terms[:, :STATUS],
-                         np.full(count, c.loop.period), run.terms[:, STATUS:]),
+                         np.full(count, c.loop.period), run.terms[:, STATUS:STATUS + 1], seq,
+                         run.terms[:, STATUS + 1:]),
         'truth': channel(Truth.labels(), seq, run.t, run.truth),
     }, c.to_flat(), {'mode': 'offline'})

@@ -8,6 +8,7 @@ column are encodings of it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 import enum
 
@@ -52,6 +53,29 @@ class Reference:
         """Return the field names for a plant of this order."""
         return ('seq', 'stamp', *(f'xd{i}' for i in range(order + 1)))
 
+    def numbers(self) -> tuple[float, ...]:
+        """Return the record as its labels name it."""
+        return (self.seq, self.stamp, *self.x_d)
+
+    @classmethod
+    def from_numbers(cls, numbers: Sequence[float]) -> Reference:
+        """Return the record from its numbers; the order follows from their count."""
+        return cls(int(numbers[0]), numbers[1], tuple(numbers[2:]))
+
+    def at(self, stamp: float) -> Reference:
+        """Return the reference brought to another instant by its own derivatives (Taylor)."""
+        ahead = stamp - self.stamp
+        if ahead == 0.0:
+            return self
+        moved = []
+        for i in range(len(self.x_d)):
+            value, factor = 0.0, 1.0
+            for j in range(i, len(self.x_d)):
+                value += self.x_d[j] * factor
+                factor *= ahead / (j - i + 1)
+            moved.append(value)
+        return Reference(self.seq, stamp, tuple(moved))
+
 
 @dataclass(frozen=True)
 class State:
@@ -63,6 +87,8 @@ class State:
         x: x, x', …, x^(n−1), shape (n,).
         echo_seq: seq of the newest command received before it; −1 = none.
         echo_stamp: stamp of that command [s].
+        round_trip: Time from publishing the state that command answers to its arrival back here,
+            both by this side's own clock [s]; 0 where no transport is involved.
     """
 
     seq: int
@@ -70,11 +96,23 @@ class State:
     x: tuple[float, ...]
     echo_seq: int = -1
     echo_stamp: float = 0.0
+    round_trip: float = 0.0
 
     @staticmethod
     def labels(order: int) -> tuple[str, ...]:
         """Return the field names for a plant of this order."""
-        return ('seq', 'stamp', *(f'x{i}' for i in range(order)), 'echo_seq', 'echo_stamp')
+        return ('seq', 'stamp', *(f'x{i}' for i in range(order)), 'echo_seq', 'echo_stamp',
+                'round_trip')
+
+    def numbers(self) -> tuple[float, ...]:
+        """Return the record as its labels name it."""
+        return (self.seq, self.stamp, *self.x, self.echo_seq, self.echo_stamp, self.round_trip)
+
+    @classmethod
+    def from_numbers(cls, numbers: Sequence[float]) -> State:
+        """Return the record from its numbers; the order follows from their count."""
+        return cls(int(numbers[0]), numbers[1], tuple(numbers[2:-3]), int(numbers[-3]),
+                   numbers[-2], numbers[-1])
 
 
 @dataclass(frozen=True)
@@ -87,6 +125,8 @@ class Command:
         v: Command, before the dead-zone, in the actuator's unit.
         echo_seq: seq of the state it answers.
         echo_stamp: stamp of that state [s].
+        hold: Time from taking that state to publishing this, by the controller's clock [s]; 0
+            where no transport is involved.
     """
 
     seq: int
@@ -94,11 +134,22 @@ class Command:
     v: float
     echo_seq: int = -1
     echo_stamp: float = 0.0
+    hold: float = 0.0
 
     @staticmethod
     def labels() -> tuple[str, ...]:
         """Return the field names."""
-        return ('seq', 'stamp', 'v', 'echo_seq', 'echo_stamp')
+        return ('seq', 'stamp', 'v', 'echo_seq', 'echo_stamp', 'hold')
+
+    def numbers(self) -> tuple[float, ...]:
+        """Return the record as its labels name it."""
+        return (self.seq, self.stamp, self.v, self.echo_seq, self.echo_stamp, self.hold)
+
+    @classmethod
+    def from_numbers(cls, numbers: Sequence[float]) -> Command:
+        """Return the record from its numbers."""
+        return cls(int(numbers[0]), numbers[1], numbers[2], int(numbers[3]), numbers[4],
+                   numbers[5])
 
 
 @dataclass(frozen=True)
@@ -111,6 +162,7 @@ class Terms:
         values: The numbers named by `TERM_NAMES`, shape (8,).
         dt: Interval by which adaptation advanced [s]; 0 = frozen.
         status: Why it was frozen, `Status` bits.
+        reference_seq: seq of the reference used.
         signals: The law's own numbers (θ̂, φ̂ as used in v, …), shape as its ``signal_names``.
     """
 
@@ -119,12 +171,18 @@ class Terms:
     values: tuple[float, ...]
     dt: float
     status: Status
+    reference_seq: int
     signals: tuple[float, ...] = ()
 
     @staticmethod
     def labels(signal_names: tuple[str, ...]) -> tuple[str, ...]:
         """Return the field names for a law with these signals."""
-        return ('seq', 'stamp', *TERM_NAMES, 'dt', 'status', *signal_names)
+        return ('seq', 'stamp', *TERM_NAMES, 'dt', 'status', 'reference_seq', *signal_names)
+
+    def numbers(self) -> tuple[float, ...]:
+        """Return the record as its labels name it."""
+        return (self.seq, self.stamp, *self.values, self.dt, self.status,
+                self.reference_seq, *self.signals)
 
 
 @dataclass(frozen=True)
@@ -149,3 +207,7 @@ class Truth:
     def labels() -> tuple[str, ...]:
         """Return the field names."""
         return ('seq', 'stamp', 'w', 'd', 'disturbance')
+
+    def numbers(self) -> tuple[float, ...]:
+        """Return the record as its labels name it."""
+        return (self.seq, self.stamp, self.w, self.d, self.disturbance)

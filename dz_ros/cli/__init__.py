@@ -1,0 +1,1 @@
+"""The command line: ``dz VERB``, ``dz NOUN VERB``; one verb a file, add_arguments + run."""

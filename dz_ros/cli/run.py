@@ -1,0 +1,250 @@
+"""``dz run``: the loop as processes, from start to an orderly end."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from importlib.util import find_spec
+import json
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.errors import (
+    ConfigurationError,
+    LoopError,
+    MissingDependencyError,
+    NO_RCLPY,
+    RunExistsError,
+)
+from dz_ros.files import load_configuration, write_parameters
+from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
+
+HELP = 'run the loop: plant, controller, trajectory (and recorder) as ROS 2 processes'
+ORDER = ('plant_node', 'trajectory_node', 'controller_node', 'recorder_node')
+"""The order in which nodes are ended: whoever drives the loop first, whoever records it last."""
+GRACE = 10.0
+"""A node that has not ended this long after being told is killed [s]."""
+START_LIMIT = 60.0
+"""The loop must have its first sample within this time [s]."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument('config', nargs='?', default='wang2004', metavar='CONFIG',
+                        help='configuration file, or the name of one that ships with dz_ros '
+                             '(default: %(default)s)')
+    parser.add_argument('--duration', type=float, metavar='S',
+                        help='length of the run in seconds of loop time; 0 = until Ctrl-C')
+    parser.add_argument('--record', type=Path, metavar='DIR',
+                        help='record the run to this directory, which must not exist')
+    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE',
+                        dest='overrides', help='change one key of the configuration; may be repeated')
+    parser.add_argument('--lockstep', action='store_true',
+                        help='step when messages have arrived, as fast as the machine goes; '
+                             'the same as --set loop.timing=lockstep')
+    parser.add_argument('--namespace', default='', metavar='NS',
+                        help='ROS namespace of the loop, e.g. /left_valve')
+    parser.add_argument('--quiet', action='store_true', help='no progress')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the loop; return 0, or the code of the node that failed."""
+    overrides = list(arguments.overrides)
+    if arguments.duration is not None:
+        overrides.append(f'loop.duration={arguments.duration}')
+    if arguments.lockstep:
+        overrides.append('loop.timing=lockstep')
+    configuration = load_configuration(arguments.config, overrides)
+    if arguments.record is not None:
+        if arguments.record.exists():
+            raise RunExistsError(f'{arguments.record}: exists already; recordings are never '
+                                 'overwritten: choose another directory')
+        peers = tuple(dict.fromkeys((*configuration.loop.peers, 'recorder_node')))
+        configuration = configuration.replace(**{'loop.peers': peers})
+    for key in configuration.set_aside:
+        print(f'dz: {key} is set aside: {configuration.law.name}, {configuration.plant.name} and '
+              f'{configuration.trajectory.name} do not use it', file=sys.stderr)
+    _check_rclpy()
+    _check_free(arguments.namespace)
+    with tempfile.TemporaryDirectory(prefix='dz_ros-') as folder:
+        parameters = Path(folder) / 'parameters.yaml'
+        write_parameters(configuration, parameters)
+        return _Loop(configuration, parameters, arguments).run()
+
+
+def _check_rclpy() -> None:
+    """Find out whether nodes could start at all.
+
+    Raises:
+        MissingDependencyError: rclpy is not installed.
+    """
+    if find_spec('rclpy') is None:
+        raise MissingDependencyError(NO_RCLPY)
+
+
+def _check_free(namespace: str) -> None:
+    """Find out whether another loop runs on this machine in the same domain and namespace.
+
+    Raises:
+        ConfigurationError: Not a namespace.
+        LoopError: Another one does.
+    """
+    name = namespace.strip('/')
+    if namespace and not all(part.isidentifier() for part in name.split('/')):
+        raise ConfigurationError('--namespace', namespace,
+                                 'must be names of letters, digits and _ separated by /')
+    topic = f'/{name}/state' if name else '/state'
+    try:
+        claim(domain_topic(topic)).close()
+    except ClaimedError as error:
+        raise LoopError(
+            f'topic {topic} is published by another loop on this machine (process {error.pid}): '
+            'stop that one, or use --namespace or another ROS_DOMAIN_ID') from None
+
+
+class _Loop:
+    """The processes of one run."""
+
+    def __init__(self, configuration: Configuration, parameters: Path,
+                 arguments: argparse.Namespace) -> None:
+        self._configuration = configuration
+        self._quiet = arguments.quiet
+        self._terminal = sys.stdout.isatty()
+        self._interrupted = False
+        self._progress_seen = threading.Event()
+        self._show_at = 0.0
+        self._line = ''
+        self._lock = threading.Lock()
+        self._processes: dict[str, subprocess.Popen[str]] = {}
+        self._failed: dict[str, int] = {}
+        self._readers: list[threading.Thread] = []
+        common = ['--ros-args', '--params-file', str(parameters)]
+        if arguments.namespace:
+            common += ['-r', f'__ns:=/{arguments.namespace.strip("/")}']
+        self._arguments = {
+            'plant_node': common, 'trajectory_node': common,
+            'controller_node': [*common, '-p', f'progress_rate:={2.0 if self._quiet else 5.0}']}
+        if arguments.record is not None:
+            self._arguments['recorder_node'] = [*common, '-p', f'directory:={arguments.record}']
+
+    def run(self) -> int:
+        """Start everything, wait for the plant, end everything in order."""
+        previous = {number: signal.signal(number, self._interrupt)
+                    for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            for name, arguments in self._arguments.items():
+                self._start(name, arguments)
+            self._watch()
+        finally:
+            self._end()
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+        if self._line and self._terminal:
+            print()
+        for name, code in self._failed.items():
+            print(f'dz: error: {name} failed ({_meaning(code)})', file=sys.stderr)
+        if self._failed:
+            return 2 if 2 in self._failed.values() else 1
+        return 130 if self._interrupted and self._configuration.loop.duration else 0
+
+    def _start(self, name: str, arguments: Sequence[str]) -> None:
+        """Start one node in a session of its own, so that Ctrl-C reaches this process alone."""
+        environment = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ}
+        process = subprocess.Popen(
+            [sys.executable, '-m', 'dz_ros.nodes.main', name, *arguments], env=environment,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            text=True, errors='replace', start_new_session=True)
+        self._processes[name] = process
+        reader = threading.Thread(target=self._read, args=(process,), daemon=True)
+        reader.start()
+        self._readers.append(reader)
+
+    def _read(self, process: subprocess.Popen[str]) -> None:
+        """Pass on what a node says; show its progress."""
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith('{"t"'):
+                self._progress_seen.set()
+                self._show(json.loads(line))
+            else:
+                self._say(line.rstrip('\n'))
+
+    def _say(self, text: str) -> None:
+        """Print a line above the line of progress."""
+        with self._lock:
+            if self._terminal and self._line:
+                print('\r' + ' ' * len(self._line) + '\r', end='')
+            print(text, flush=True)
+            if self._terminal and self._line:
+                print(self._line, end='', flush=True)
+
+    def _show(self, progress: dict[str, float]) -> None:
+        """Show a line of progress: in place on a terminal, once a second elsewhere."""
+        now = time.monotonic()
+        if self._quiet or (not self._terminal and now < self._show_at):
+            return
+        self._show_at = now + 1.0
+        layer, rate = progress['s_over_epsilon'], progress['rate']
+        line = (f't {progress["t"]:7.2f} s   error {progress["error"]:+9.5f}   '
+                + ('' if layer is None else f's/ε {layer:+8.2f}   ')
+                + f'v {progress["v"]:+8.3f}   '
+                + ('' if rate is None else f'{rate:6.1f} Hz   ')
+                + ('' if progress['late'] is None else f'late {progress["late"]:.0f}'))
+        with self._lock:
+            if self._terminal:
+                print('\r' + line.ljust(len(self._line)), end='', flush=True)
+            else:
+                print(line, flush=True)
+            self._line = line
+
+    def _interrupt(self, _number: int, _frame: object) -> None:
+        self._interrupted = True
+
+    def _watch(self) -> None:
+        """Wait until the plant is done, a node fails, or the user ends it."""
+        give_up = time.monotonic() + START_LIMIT
+        while not self._interrupted:
+            for name, process in self._processes.items():
+                code = process.poll()
+                if code is not None and (code != 0 or name != 'plant_node'):
+                    self._failed[name] = code
+            if self._failed or self._processes['plant_node'].poll() is not None:
+                return
+            if not self._progress_seen.is_set() and time.monotonic() > give_up:
+                self._failed['the loop'] = -1000
+                return
+            time.sleep(0.02)
+
+    def _end(self) -> None:
+        """End the nodes in order, each by its own process id; kill what does not end."""
+        for name in ORDER:
+            process = self._processes.get(name)
+            if process is None:
+                continue
+            if process.poll() is None:
+                process.send_signal(signal.SIGINT)
+            try:
+                code = process.wait(GRACE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                code = process.wait()
+            if code != 0:
+                self._failed.setdefault(name, code)
+        for reader in self._readers:
+            reader.join(1.0)
+
+
+def _meaning(code: int) -> str:
+    """Return an exit code in words."""
+    if code == -1000:
+        return f'no sample within {START_LIMIT:g} s'
+    if code < 0:
+        return f'killed by {signal.Signals(-code).name}'
+    return f'exit code {code}' if code else 'ended before the plant'

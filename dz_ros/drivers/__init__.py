@@ -1,0 +1,1 @@
+"""Where a command goes: the simulated actuator and plant."""

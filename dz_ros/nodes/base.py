@@ -1,0 +1,192 @@
+"""What every node of the loop does: publish records, report events, wait for its peers, spin."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import json
+import time
+from typing import Any
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.errors import LoopError, MessageError
+from dz_ros.nodes import topics
+from dz_ros.recording.cdr import ArrayCodec
+from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
+from dz_ros.version import version
+
+SPIN_LIMIT = 0.05
+"""Longest wait for anything [s]; a signal is noticed within it."""
+PATIENCE = 5.0
+"""A node that waits for its peers says so after each of these [s]."""
+
+
+class LoopNode(Node):
+    """A node of the loop.
+
+    Args:
+        name: Default node name.
+
+    Attributes:
+        stopping: True once a signal asked the node to end.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.stopping = False
+        self.configuration: Configuration
+        self._events = self.create_publisher(topics.TYPES['events'], 'events',
+                                             topics.offered('events'))
+        self._records: dict[str, tuple[Publisher, ArrayCodec]] = {}
+        self._claims: list[Any] = []
+        self._counts: dict[str, int] = {}
+        self._executor = _executor()
+        self._executor.add_node(self)
+
+    def offer(self, topic: str, labels: Sequence[str]) -> Callable[[Sequence[float]], None]:
+        """Return the function that publishes a record's numbers on a topic of the loop.
+
+        Raises:
+            LoopError: Another process on this machine publishes that topic already.
+        """
+        publisher = self.create_publisher(topics.TYPES[topic], topic,
+                                          topics.offered(topic, self.lockstep))
+        try:
+            self._claims.append(claim(domain_topic(publisher.topic_name)))
+        except ClaimedError as error:
+            raise LoopError(
+                f'topic {publisher.topic_name} is published by another loop on this machine '
+                f'(process {error.pid}): stop that one, or use another namespace or ROS_DOMAIN_ID'
+            ) from None
+        codec = ArrayCodec(tuple(labels))
+        self._records[topic] = (publisher, codec)
+        encode, publish = codec.encode, publisher.publish
+        if not self.lockstep:
+            return lambda numbers: publish(encode(numbers))
+
+        def publish_in_turn(numbers: Sequence[float]) -> None:
+            """Publish; wait where a reader that keeps everything is behind."""
+            payload = encode(numbers)
+            while not self.stopping:
+                try:
+                    return publish(payload)
+                except rclpy_implementation.RCLError:
+                    self.count(f'a reader of {publisher.topic_name} is behind, the loop waits')
+
+        return publish_in_turn
+
+    def take(self, topic: str, labels: Sequence[str],
+             callback: Callable[[tuple[float, ...]], None]) -> None:
+        """Call back with the numbers of each message whose labels are these; count the others."""
+        decode = ArrayCodec(tuple(labels)).decode
+
+        def received(payload: bytes) -> None:
+            try:
+                numbers = decode(payload)
+            except MessageError as error:
+                self.count(f'{topic}: {error}')
+                return
+            callback(numbers)
+
+        qos = topics.LOCKSTEP if self.lockstep else topics.NEWEST
+        self.create_subscription(topics.TYPES[topic], topic, received, qos, raw=True)
+
+    @property
+    def lockstep(self) -> bool:
+        """Whether steps happen when messages have arrived instead of at deadlines."""
+        return self.configuration.loop.timing == 'lockstep'
+
+    def count(self, what: str) -> None:
+        """Count a fault; log it the first time and then at each power of ten."""
+        number = self._counts[what] = self._counts.get(what, 0) + 1
+        if str(number).strip('0') == '1':
+            self.get_logger().warning(f'{what} ({number} so far)')
+
+    def event(self, name: str, **details: Any) -> None:
+        """Publish something that happened, as JSON, for recorders and late joiners."""
+        text = json.dumps({'node': self.get_fully_qualified_name(), 'event': name, **details})
+        self._events.publish(topics.TYPES['events'](data=text))
+
+    def announce(self, *owns: str) -> None:
+        """Publish the configuration this node runs with.
+
+        Args:
+            *owns: Sections in which this node's values are the loop's.
+        """
+        self.event('configuration', version=version(), owns=owns,
+                   rmw=rclpy.get_rmw_implementation_identifier(),
+                   configuration=self.configuration.to_flat(),
+                   set_aside=self.configuration.set_aside)
+
+    def missing(self) -> list[str]:
+        """Return which peers do not listen yet to what this node publishes, in words."""
+        found = []
+        for topic, (publisher, _) in self._records.items():
+            wanted = [name for name in topics.LISTENERS[topic]
+                      if name in self.configuration.loop.peers and name != self.get_name()]
+            if publisher.get_subscription_count() < len(wanted):
+                found.append(f'{len(wanted)} listeners on {publisher.topic_name}')
+                continue
+            there = {info.node_name
+                     for info in self.get_subscriptions_info_by_topic(publisher.topic_name)}
+            found += [f'{name} to listen to {publisher.topic_name}' for name in wanted
+                      if name not in there]
+        return found
+
+    def wait_for_peers(self, *more: Callable[[], list[str]]) -> bool:
+        """Spin until all peers are there; return False if the node is told to end before.
+
+        Args:
+            *more: Further functions that say what is missing.
+        """
+        said = time.monotonic()
+        while not self.stopping:
+            self.spin_until(time.monotonic() + 0.01)
+            missing = self.missing() + [item for function in more for item in function()]
+            if not missing:
+                return True
+            if time.monotonic() - said > PATIENCE:
+                self.get_logger().info(f'waiting for {", ".join(missing)}')
+                said = time.monotonic()
+        return False
+
+    def spin_until(self, deadline: float, done: Callable[[], bool] = lambda: False) -> None:
+        """Serve callbacks until a time of the steady clock [s], `done` or the end."""
+        while not (self.stopping or done()):
+            remaining = deadline - time.monotonic()
+            if remaining <= 0.0:
+                return
+            self._executor.spin_once(timeout_sec=min(remaining, SPIN_LIMIT))
+
+    def spin(self) -> None:
+        """Serve one callback, or none for a while."""
+        self._executor.spin_once(timeout_sec=SPIN_LIMIT)
+
+    def run(self) -> None:
+        """Do the node's work until told to end; serve callbacks unless overridden."""
+        while not self.stopping:
+            self.spin()
+
+    def close(self) -> None:
+        """Let what was published reach its listeners, then release everything."""
+        for publisher, _ in self._records.values():
+            publisher.wait_for_all_acked(Duration(seconds=1.0))
+        self._executor.remove_node(self)
+        self.destroy_node()
+        for held in self._claims:
+            held.close()
+
+
+def _executor() -> Any:
+    """Return the executor with the least delay that this rclpy has (docs/architecture.md)."""
+    try:
+        from rclpy.experimental.events_executor import EventsExecutor
+    except ImportError:
+        from rclpy.executors import SingleThreadedExecutor
+        return SingleThreadedExecutor()
+    return EventsExecutor()

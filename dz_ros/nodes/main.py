@@ -1,0 +1,98 @@
+"""Starting a node as a process: signals, exit codes, errors of one line.
+
+Exit code 0 after an orderly end, also by SIGINT or SIGTERM; 2 after a user's mistake; 1 after
+anything else that went wrong. rclpy is imported here and not before, so that its absence is one
+line as well.
+"""
+
+from __future__ import annotations
+
+import importlib
+import signal
+import sys
+from types import FrameType
+
+from dz_ros.errors import DzRosError, NO_RCLPY
+from dz_ros.runtime.process import settle
+
+NODES = {'plant_node': 'PlantNode', 'controller_node': 'ControllerNode',
+         'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode'}
+"""Executable → class in the module of the same name."""
+
+
+def run_node(name: str) -> int:
+    """Run one node until it is done or told to end; return the exit code."""
+    try:
+        import rclpy
+        from rclpy.signals import SignalHandlerOptions
+    except ImportError as error:
+        return _complain(name, f'{NO_RCLPY} ({error})')
+    try:
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # noqa: BLE001  rclpy raises its own kinds for bad arguments
+        return _complain(name, _first_line(error))
+    node = None
+    told = False
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        nonlocal told
+        told = True
+        if node is not None:
+            node.stopping = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
+    code = 0
+    try:
+        module = importlib.import_module(f'dz_ros.nodes.{name}')
+        node = getattr(module, NODES[name])()
+        node.stopping = told
+        settle()
+        node.run()
+    except DzRosError as error:
+        code = _complain(name, str(error))
+    except Exception as error:
+        if type(error).__module__.split('.')[0] not in ('rclpy', '_rclpy_pybind11'):
+            raise
+        code = _complain(name, _first_line(error))
+    finally:
+        if node is not None:
+            node.close()
+        rclpy.try_shutdown()
+    return code
+
+
+def _complain(name: str, message: str) -> int:
+    """Write one line on standard error; return the exit code of a user's mistake."""
+    sys.stderr.write(f'{name}: error: {message}\n')
+    return 2
+
+
+def _first_line(error: Exception) -> str:
+    """Return the first line of rclpy's message, without the place in its C source."""
+    return str(error).strip().splitlines()[0].split(', at /')[0]
+
+
+def plant_node() -> int:
+    """Run the simulated plant."""
+    return run_node('plant_node')
+
+
+def controller_node() -> int:
+    """Run the controller."""
+    return run_node('controller_node')
+
+
+def trajectory_node() -> int:
+    """Run the trajectory generator."""
+    return run_node('trajectory_node')
+
+
+def recorder_node() -> int:
+    """Run the recorder."""
+    return run_node('recorder_node')
+
+
+if __name__ == '__main__':
+    # python -m dz_ros.nodes.main NODE --ros-args …: how `dz run` starts the nodes.
+    sys.exit(run_node(sys.argv.pop(1)))

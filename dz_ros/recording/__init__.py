@@ -1,0 +1,1 @@
+"""Records ↔ bytes ↔ MCAP: encodings of messages, writing, reading and recovering runs."""

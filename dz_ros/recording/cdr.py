@@ -1,0 +1,201 @@
+"""The two messages dz_ros sends, packed and unpacked by hand: arrays of doubles and text.
+
+CDR (OMG DDS-XTypes 7.4, classic encoding "version 1") as ROS 2 serialises ``std_msgs``. A payload
+is a 4-byte encapsulation header (kind of encoding, options) and a body; inside the body a number
+of k bytes starts at a multiple of k, counted from the body's first byte. Text is its length with
+the closing NUL (uint32), the UTF-8 bytes, the NUL. A sequence is its length (uint32) and its
+elements.
+
+    std_msgs/Float64MultiArray     layout.dim[]: label, size, stride;  layout.data_offset;  data[]
+    std_msgs/String                data
+
+Every array of ours has one dimension whose label is the comma-separated names of its numbers.
+Pad bytes written here are zero; those of other writers may hold anything and are never compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import struct
+
+from dz_ros.errors import MessageError
+
+LITTLE_ENDIAN = b'\x00\x01\x00\x00'
+"""Encapsulation header of plain CDR, little endian, no options."""
+
+HEADER = len(LITTLE_ENDIAN)
+_MAX_TRAILING = 3
+"""Bytes that a transport may append to fill the last word."""
+
+
+class ArrayCodec:
+    """Packs and unpacks the arrays of one topic, whose labels are known.
+
+    Attributes:
+        labels: Names of the numbers.
+        size: Bytes of a payload.
+        data_start: Place of the first double in a payload.
+    """
+
+    def __init__(self, labels: tuple[str, ...]) -> None:
+        """Prepare the bytes that all messages with these labels share.
+
+        Raises:
+            MessageError: No label, an empty or repeated one, or one with a comma or NUL in it.
+        """
+        if not labels or len(set(labels)) < len(labels) or any(
+                not name or ',' in name or '\0' in name for name in labels):
+            raise MessageError(f'labels {labels!r}: must be different names without commas',
+                               got=labels)
+        count = len(labels)
+        label = ','.join(labels).encode() + b'\0'
+        head = LITTLE_ENDIAN + struct.pack('<II', 1, len(label)) + label
+        middle = struct.pack('<IIII', count, count, 0, count)
+        middle_start = HEADER + _aligned(len(head) - HEADER, 4)
+        end = middle_start + len(middle)
+        self.labels = labels
+        self.data_start = HEADER + _aligned(end - HEADER, 8)
+        self.size = self.data_start + 8 * count
+        self._head = head
+        self._middle = middle
+        self._middle_start = middle_start
+        prefix = head.ljust(middle_start, b'\0') + middle
+        self._prefix = prefix.ljust(self.data_start, b'\0')
+        self._pack = struct.Struct(f'<{len(self._prefix)}s{count}d').pack
+        self._unpack_from = struct.Struct(f'<{count}d').unpack_from
+
+    def encode(self, values: Sequence[float]) -> bytes:
+        """Return the payload of these numbers, one for each label.
+
+        Raises:
+            MessageError: Another count, or something that is not a number.
+        """
+        try:
+            return self._pack(self._prefix, *values)
+        except (struct.error, OverflowError):
+            raise MessageError(f'{list(values)!r}: must be {len(self.labels)} numbers '
+                               f'({", ".join(self.labels)})', self.labels) from None
+
+    def decode(self, payload: bytes) -> tuple[float, ...]:
+        """Return the numbers of a payload, shape (len(labels),).
+
+        Raises:
+            MessageError: Other labels, another length, or not such a message at all.
+        """
+        if (len(payload) == self.size and payload.startswith(self._head)
+                and payload.startswith(self._middle, self._middle_start)):
+            return self._unpack_from(payload, self.data_start)
+        try:
+            labels, values = decode_array(payload)
+        except MessageError as error:
+            raise MessageError(f'{error} (expected {", ".join(self.labels)})',
+                               self.labels) from None
+        if labels != self.labels:
+            found = ', '.join(labels) if labels else f'{len(values)} numbers without names'
+            raise MessageError(f'message carries {found}; expected {", ".join(self.labels)}',
+                               self.labels, labels)
+        return values
+
+
+def decode_array(payload: bytes) -> tuple[tuple[str, ...], tuple[float, ...]]:
+    """Return (labels, numbers) of any std_msgs/Float64MultiArray, either byte order.
+
+    Labels are () where the layout does not name the numbers one by one: no dimension, several,
+    a size or a label that is not for as many numbers as there are.
+
+    Raises:
+        MessageError: Not such a message, or cut off.
+    """
+    body = _Body(payload)
+    dimensions = []
+    for _ in range(body.number()):
+        label, size, _stride = body.text(), body.number(), body.number()
+        dimensions.append((label, size))
+    offset = body.number()
+    values = body.doubles(body.number())
+    body.finish()
+    if len(dimensions) == 1 and dimensions[0][1] == len(values) and not offset:
+        labels = tuple(dimensions[0][0].split(','))
+        if len(labels) == len(values) and all(labels):
+            return labels, values
+    return (), values
+
+
+def encode_string(text: str) -> bytes:
+    """Return the std_msgs/String payload of a text.
+
+    Raises:
+        MessageError: The text holds a NUL or cannot be UTF-8.
+    """
+    try:
+        data = text.encode()
+    except UnicodeEncodeError as error:
+        raise MessageError(f'text cannot be sent: {error}') from None
+    if b'\0' in data:
+        raise MessageError('text cannot be sent: it holds a NUL, where ROS would end it')
+    return LITTLE_ENDIAN + struct.pack('<I', len(data) + 1) + data + b'\0'
+
+
+def decode_string(payload: bytes) -> str:
+    """Return the text of a std_msgs/String payload, either byte order.
+
+    Raises:
+        MessageError: Not such a message, or cut off.
+    """
+    body = _Body(payload)
+    text = body.text()
+    body.finish()
+    return text
+
+
+def _aligned(position: int, size: int) -> int:
+    """Return the first multiple of size from position on."""
+    return -(-position // size) * size
+
+
+class _Body:
+    """A cursor over the body of a payload; every step raises MessageError where bytes lack."""
+
+    def __init__(self, payload: bytes) -> None:
+        kind = bytes(payload[:2])
+        if len(payload) < HEADER or kind not in (b'\x00\x00', b'\x00\x01'):
+            raise MessageError(f'not a CDR message: it starts with {payload[:HEADER].hex(" ")!r}')
+        self._order = '<' if kind == b'\x00\x01' else '>'
+        self._data = payload[HEADER:]
+        self._position = 0
+
+    def _take(self, size: int, alignment: int) -> int:
+        start = _aligned(self._position, alignment)
+        if start + size > len(self._data):
+            raise MessageError(f'message is cut off: {start + size} bytes announced, '
+                               f'{len(self._data)} there')
+        self._position = start + size
+        return start
+
+    def number(self) -> int:
+        """Return the next uint32."""
+        start = self._take(4, 4)
+        return int(struct.unpack_from(f'{self._order}I', self._data, start)[0])
+
+    def text(self) -> str:
+        """Return the next string."""
+        size = self.number()
+        start = self._take(size, 1)
+        raw = bytes(self._data[start:start + size])
+        try:
+            return raw.removesuffix(b'\0').decode()
+        except UnicodeDecodeError as error:
+            raise MessageError(f'message holds a text that is not UTF-8: {error}') from None
+
+    def doubles(self, count: int) -> tuple[float, ...]:
+        """Return the next `count` doubles."""
+        if not count:
+            return ()
+        start = self._take(8 * count, 8)
+        return struct.unpack_from(f'{self._order}{count}d', self._data, start)
+
+    def finish(self) -> None:
+        """Check that nothing but padding follows."""
+        rest = len(self._data) - self._position
+        if rest > _MAX_TRAILING:
+            raise MessageError(f'not the expected message: {rest} bytes follow its end')

@@ -1,0 +1,1 @@
+"""Time and process: deadlines, process set-up, claims. Standard library only."""

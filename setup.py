@@ -1,0 +1,71 @@
+"""Packaging for pip and colcon alike; version, description and people come from package.xml."""
+
+from pathlib import Path
+import xml.etree.ElementTree as ET
+
+from setuptools import find_packages, setup
+
+manifest = ET.parse('package.xml').getroot()
+name = manifest.findtext('name')
+maintainer = manifest.find('maintainer')
+
+
+
+def files(*patterns):
+    return sorted(str(path) for pattern in patterns for path in Path().glob(pattern))
+
+
+setup(
+    name=name,
+    version=manifest.findtext('version'),
+    description=manifest.findtext('description'),
+    license=manifest.findtext('license'),
+    author=manifest.findtext('author'),
+    maintainer=maintainer.text,
+    maintainer_email=maintainer.get('email'),
+    packages=find_packages(include=[name, f'{name}.*']),
+    package_data={name: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{name}']),
+        (f'share/{name}', ['package.xml']),
+        (f'share/{name}/config', files('config/*.yaml', 'config/*.csv')),
+        (f'share/{name}/launch', files('launch/*.py')),
+    ],
+    zip_safe=True,
+    python_requires='>=3.10',
+    install_requires=[
+        'matplotlib>=3.6',
+        'mcap>=1.2,<2',
+        'numpy>=1.26',
+        'pyyaml>=6.0',
+        'rosbags>=0.11,<0.12',
+        'scipy>=1.11',
+    ],
+    extras_require={
+        # ROS 2 Jazzy's client library as wheels, for machines without a ROS installation; without
+        # the pins pip takes another distribution's.
+        'ros': ['ros-rclpy[fastrtps]==7.1.6', 'ros-common-interfaces==5.3.6'],
+        'test': ['hypothesis>=6.98', 'pytest>=7.4'],
+        'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
+        'colcon': [
+            'catkin-pkg==1.1.1',
+            'colcon-core==0.21.3',
+            'colcon-library-path==0.2.1',
+            'colcon-output==0.2.15',
+            'colcon-package-information==0.4.1',
+            'colcon-python-setup-py==0.2.9',
+            'colcon-ros==0.5.0',
+            'colcon-test-result==0.3.8',
+            'setuptools>=68,<80',   # later ones turn --symlink-install into a silent copy
+        ],
+    },
+    entry_points={
+        'console_scripts': [
+            'dz = dz_ros.cli.main:main',
+            'plant_node = dz_ros.nodes.main:plant_node',
+            'controller_node = dz_ros.nodes.main:controller_node',
+            'trajectory_node = dz_ros.nodes.main:trajectory_node',
+            'recorder_node = dz_ros.nodes.main:recorder_node',
+        ],
+    },
+)

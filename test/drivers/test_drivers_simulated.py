@@ -1,0 +1,65 @@
+"""The simulated actuator against the offline loop and an independent integrator."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.loop import simulate
+from dz_ros.drivers.simulated import SimulatedActuator
+
+
+@pytest.mark.parametrize('overrides', [
+    {}, {'loop.delay': 2}, {'plant.command_limit': 5.0}, {'plant.noise': [0.001, 0.01]},
+    {'plant.dead_zone.b_r_drift': [0.25, 0.9], 'plant.dead_zone.m_l': 0.5}])
+def test_commands_at_the_samples_repeat_the_offline_loop(overrides):
+    configuration = Configuration.from_flat({'loop.duration': 1.0, **overrides})
+    run = simulate(configuration)
+    actuator = SimulatedActuator(configuration)
+    period = configuration.loop.period
+    for k in range(len(run.t) - 1):
+        assert actuator.measure() == tuple(run.x_measured[k])
+        assert tuple(actuator.x) == tuple(run.x[k])
+        actuator.command(float(run.v[k]), k * period)
+        truth = actuator.advance((k + 1) * period, k)
+        assert actuator.held == run.v_applied[k]
+        assert (truth.w, truth.d, truth.disturbance) == tuple(run.truth[k])
+
+
+def test_a_command_in_the_middle_of_a_sample_acts_from_there():
+    configuration = Configuration.from_flat({'plant.substeps': 16})
+    actuator = SimulatedActuator(configuration)
+    actuator.command(3.0, 0.0)
+    actuator.advance(0.005, 0)
+    actuator.command(-4.0, 0.0071)
+    actuator.advance(0.010, 1)
+    zone = configuration.dead_zone
+
+    def motion(t, x, v):
+        accelerate = (np.tanh(x[0] / 2) - (x[0] ** 2 + 2 * x[0]) * np.sin(x[0])
+                      - 0.5 * x[0] * np.sin(3 * t) + zone(v))
+        return [x[1], accelerate]
+
+    x = [-2.5, 3.5]
+    for start, end, v in ((0.0, 0.0071, 3.0), (0.0071, 0.010, -4.0)):
+        x = solve_ivp(motion, (start, end), x, args=(v,), rtol=1e-12, atol=1e-13).y[:, -1]
+    assert actuator.x == pytest.approx(list(x), abs=1e-11)
+
+
+def test_the_newest_of_several_commands_is_held():
+    actuator = SimulatedActuator(Configuration.from_flat({}))
+    actuator.command(1.0, 0.0)
+    actuator.command(2.0, 0.0)
+    actuator.advance(0.005, 0)
+    assert actuator.held == 2.0
+
+
+def test_several_periods_at_once_are_integrated_in_full():
+    configuration = Configuration.from_flat({})
+    together, apart = SimulatedActuator(configuration), SimulatedActuator(configuration)
+    for actuator in (together, apart):
+        actuator.command(2.0, 0.0)
+    together.advance(0.015, 0)
+    for k in range(3):
+        apart.advance((k + 1) * 0.005, k)
+    assert together.x == pytest.approx(apart.x, abs=1e-13)

@@ -1,0 +1,83 @@
+"""Deadlines, claims and process set-up, with a clock that the test moves."""
+
+import gc
+import os
+import subprocess
+import sys
+
+import pytest
+
+from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
+from dz_ros.runtime.deadlines import Deadlines
+from dz_ros.runtime.process import settle
+
+
+class Clock:
+    def __init__(self):
+        self.now = 1_000
+
+    def __call__(self):
+        return self.now
+
+
+def test_deadlines_are_absolute_and_do_not_drift():
+    clock = Clock()
+    ticks = Deadlines(0.005, 1_000, clock)
+    for k in range(1, 1001):
+        clock.now += round(ticks.remaining() * 1e9) + 300_000  # each tick begins 0.3 ms late
+        assert ticks.begin() == k
+        assert clock.now - 1_000 == k * 5_000_000 + 300_000
+    assert (ticks.late, ticks.skipped) == (0, 0)
+
+
+def test_an_overrun_skips_whole_periods_and_is_counted():
+    clock = Clock()
+    ticks = Deadlines(0.005, 1_000, clock)
+    clock.now += 5_000_000 + 12_000_000
+    assert ticks.remaining() == pytest.approx(-0.012)
+    assert ticks.begin() == 3
+    assert (ticks.late, ticks.skipped) == (1, 2)
+    clock.now = 1_000 + 4 * 5_000_000
+    assert ticks.begin() == 4
+    assert (ticks.late, ticks.skipped) == (1, 2)
+
+
+def test_a_claim_is_exclusive_names_its_holder_and_dies_with_it():
+    name = f'test/{os.getpid()}'
+    held = claim(name)
+    with pytest.raises(ClaimedError) as error:
+        claim(name)
+    assert error.value.pid == os.getpid()
+    held.close()
+    claim(name).close()
+
+    program = (f'from dz_ros.runtime.claim import claim; import time; c = claim({name!r}); '
+               'print("held", flush=True); time.sleep(600)')
+    child = subprocess.Popen([sys.executable, '-c', program], stdout=subprocess.PIPE, text=True)
+    try:
+        assert child.stdout.readline() == 'held\n'
+        with pytest.raises(ClaimedError) as error:
+            claim(name)
+        assert error.value.pid == child.pid
+    finally:
+        child.kill()
+        child.wait()
+        child.stdout.close()
+    claim(name).close()
+
+
+def test_claims_of_different_domains_do_not_meet(monkeypatch):
+    monkeypatch.setenv('ROS_DOMAIN_ID', '3')
+    assert domain_topic('/state') == '3/state'
+    monkeypatch.delenv('ROS_DOMAIN_ID')
+    assert domain_topic('/ns/state') == '0/ns/state'
+
+
+def test_settling_keeps_the_collector_out():
+    try:
+        settle()
+        assert not gc.isenabled()
+        assert gc.get_freeze_count() > 0
+    finally:
+        gc.unfreeze()
+        gc.enable()
