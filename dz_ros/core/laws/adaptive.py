@@ -10,6 +10,7 @@ order ρ/(m k_d) and, without projection, θ̂, φ̂ may drift.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from dz_ros.core.laws.base import Design
 from dz_ros.core.laws.wang2004 import adaptive_design, Wang2004
@@ -47,7 +48,7 @@ class Adaptive(Wang2004):
 
     name = 'adaptive'
     summary = 'adaptive law without a robust term, (14)-(16) with k* = 0'
-    Gains = AdaptiveGains
+    Gains: ClassVar[type] = AdaptiveGains
 
     @property
     def constants(self) -> tuple[float, ...]:

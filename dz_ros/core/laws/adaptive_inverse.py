@@ -5,12 +5,12 @@
     v   = (u_l + β̂2 χ_r + β̂3 χ_l)/β̂1
     â_i' = −γ Y_i S_a,   β̂1' = η v S_a,   β̂2' = −g_b χ_r S_a,   β̂3' = −g_b χ_l S_a
 
-â estimates a_i, β̂1 b m, β̂2 b m b_r, β̂3 b m b_l; the three β̂ are clipped to prior bounds. Any order n
-in this form (ours; the originals adapt an inverse before a linear plant, and before a discrete-time
-one): rebuilt from descriptions on the filtered error of [wang2004], not transcribed, so say
-"after". Proven in the originals for plants that are linear apart from the dead-zone; here, with
-exact χ, V = ½ s² + ½|ã|²/γ + ½ β̃1²/η + ½(β̃2² + β̃3²)/g_b gives V' ≤ −k_d s², a smooth χ leaves a bounded
-rest that k must cover. Gains and bounds are ours.
+â estimates a_i, β̂1 b m, β̂2 b m b_r, β̂3 b m b_l; the three β̂ are clipped to prior bounds. Any order
+n in this form (ours; the originals adapt an inverse before a linear plant, in continuous and in
+discrete time): rebuilt from descriptions on the filtered error of [wang2004], not transcribed, so
+say "after". Proven in the originals for plants that are linear apart from the dead-zone. Here,
+with exact χ and no disturbance, V = ½ s² + ½|ã|²/γ + ½ β̃1²/η + ½(β̃2² + β̃3²)/g_b gives
+V' ≤ −k_d s² (ours); a smooth χ leaves a bounded rest that k must cover. Gains and bounds are ours.
 """
 
 from __future__ import annotations
@@ -25,8 +25,14 @@ from dz_ros.core.laws.base import Design, Law, per_regressor
 from dz_ros.core.laws.extensions import break_point, clip, right_share
 from dz_ros.core.records import STATUS
 from dz_ros.core.schema import parameter
-from dz_ros.core.tracking import (error_weights, feed_forward, feed_forward_weights,
-                                  filtered_error, outside_layer, sat)
+from dz_ros.core.tracking import (
+    error_weights,
+    feed_forward,
+    feed_forward_weights,
+    filtered_error,
+    outside_layer,
+    sat,
+)
 from dz_ros.errors import ConfigurationError
 
 
@@ -143,4 +149,4 @@ class AdaptiveInverse(Law):
         for i in range(r + 3):
             terms[STATUS + 1 + i] = memory[i]
         terms[STATUS] = 0.0
-        return v
+        return float(v)

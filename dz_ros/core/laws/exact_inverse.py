@@ -5,8 +5,8 @@
     θ̂_i' = −γ Y_i s_ε,   φ̂' = −η u_fd s_ε
 
 Any order n. With equal slopes D(v) = m v_d exactly, so the theorem of [wang2004] holds with d = 0:
-k has to cover the disturbance only. It needs what (A1)–(A4) say nobody knows, b_r and b_l, as gains
-(k, too, is a gain: 0, 1.47 or 2.5 in the comparison). v jumps by b_r − b_l where v_d changes sign.
+k has to cover the disturbance only. It needs what (A1)–(A4) say nobody knows, b_r and b_l, as
+gains; k is 0, 1.47 or 2.5 in the comparison. v jumps by b_r − b_l where v_d changes sign.
 """
 
 from __future__ import annotations
@@ -52,12 +52,14 @@ class ExactInverse(Adaptive):
         s = filtered_error(c, 5, x_d, x)
         u_fd = feed_forward(c, 5 + n, x_d, x)
         v_d = control(c[0], c[1], c[2], memory, s, u_fd, y, terms)
+        jump = 0.0
         if v_d > 0.0:
-            terms[7] = c[5 + 2 * n]
+            jump = c[5 + 2 * n]
         elif v_d < 0.0:
-            terms[7] = c[6 + 2 * n]
+            jump = c[6 + 2 * n]
+        terms[7] = jump
         adapt(c[3], c[4], memory, y, u_fd, terms[1], dt, new_memory)
         for i in range(len(memory)):
             terms[STATUS + 1 + i] = memory[i]
         terms[STATUS] = 0.0
-        return v_d + terms[7]
+        return v_d + jump

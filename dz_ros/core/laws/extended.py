@@ -27,8 +27,16 @@ from typing import Any
 
 from dz_ros.core.boundary_layer import automatic_epsilon, layer_gain
 from dz_ros.core.laws.base import Design, Law, per_regressor
-from dz_ros.core.laws.extensions import (break_point, check_start, clip, late_gradient, project,
-                                         projection_box, ProjectionGains, winds_up)
+from dz_ros.core.laws.extensions import (
+    break_point,
+    check_start,
+    clip,
+    late_gradient,
+    project,
+    projection_box,
+    ProjectionGains,
+    winds_up,
+)
 from dz_ros.core.laws.wang2004 import adapt, adaptive_design, control, Wang2004Gains
 from dz_ros.core.records import STATUS, Status
 from dz_ros.core.schema import parameter
@@ -111,7 +119,8 @@ class Extended(Law):
         g = self.gains
         rate = layer_gain(g.k_d, g.k_star, self.epsilon) ** 2 / g.integral_divisor
         return (g.k_d, g.k_star, self.epsilon, g.gamma, g.eta,
-                *error_weights(g.lambda_, self.order), *feed_forward_weights(g.lambda_, self.order),
+                *error_weights(g.lambda_, self.order),
+                *feed_forward_weights(g.lambda_, self.order),
                 float(g.projection), float(g.late_gradient), g.v_max if g.anti_windup else 0.0,
                 rate if g.integral else 0.0, g.rho_i if g.integral else 0.0,
                 g.b_r_guess if g.dead_zone_feed_forward else 0.0,

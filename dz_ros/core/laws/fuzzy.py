@@ -1,15 +1,14 @@
 """Adaptive fuzzy dead-zone compensation, after Lewis, Tim, Wang and Li [lewis1999].
 
     r = −s,   w = (14) with k,   θ̂, φ̂ by (15), (16)
-    X₊ = clip((w + D)/(2D), 0, 1),   X₋ = 1 − X₊               memberships "w is right", "w is left"
+    X₊ = clip((w + D)/(2D), 0, 1),   X₋ = 1 − X₊     memberships of "w is right", "w is left"
     v  = w + d̂₊ X₊ + d̂₋ X₋
     d̂± ' = g (X± r − κ|r| d̂±),   d̂±(0) = 0
 
 Any order n in this form (ours; the original drives a Lagrangian mechanical system, order 2 per
-joint, by a robust PD law). Rebuilt from descriptions, not transcribed: say "after". In the original
-the tracking error and d̂ are proven uniformly ultimately bounded, the leakage κ standing in for
-knowledge of the bounds; here d̂ is bounded by the leakage, |d̂±| ≤ 1/κ, and the rest rests on
-simulation. Gains are ours.
+joint). Rebuilt from descriptions, not transcribed: say "after". In the original tracking error and
+d̂ are proven uniformly ultimately bounded; here the leakage bounds d̂, |d̂±| ≤ 1/κ (as long as
+g κ|s| T < 1), and the rest rests on simulation. Gains are ours.
 """
 
 from __future__ import annotations
@@ -70,7 +69,8 @@ class Fuzzy(Adaptive):
         u_fd = feed_forward(c, 5 + n, x_d, x)
         w = control(c[0], c[1], c[2], memory, s, u_fd, y, terms)
         right = clip((w + c[own]) / (2.0 * c[own]), 0.0, 1.0)
-        terms[7] = memory[plus] * right + memory[plus + 1] * (1.0 - right)
+        compensation = memory[plus] * right + memory[plus + 1] * (1.0 - right)
+        terms[7] = compensation
         adapt(c[3], c[4], memory, y, u_fd, terms[1], dt, new_memory)
         leak = c[own + 2] * abs(s)
         new_memory[plus] = memory[plus] + dt * c[own + 1] * (
@@ -80,4 +80,4 @@ class Fuzzy(Adaptive):
         for i in range(len(memory)):
             terms[STATUS + 1 + i] = memory[i]
         terms[STATUS] = 0.0
-        return w + terms[7]
+        return float(w + compensation)

@@ -7,12 +7,14 @@
     Ŵ_i' = G [σ_i r (Ŵᵀσ'(u)Vᵀ) − k1|r| Ŵ_i − k2|r| ‖Ŵ_i‖ Ŵ_i]
     Ŵ'   = S [−σ'(u)Vᵀ (Ŵ_iᵀσ_i) r − k1|r| Ŵ]
 
-Slopes V and offsets v_0 of both nets are drawn once, from `seed`, and stay; Ŵ_i(0) = 0, Ŵ(0) is the
-least-squares fit of D̂ to the dead-zone of the guessed parameters. The slope of D̂ teaches the
-compensator, so D̂ has to fit over the whole range of v: where it does not, the loop may chatter. Any order n in this form (ours;
-the original drives a Lagrangian mechanical system). Rebuilt from descriptions, not transcribed:
-say "after". In the original tracking error and weights are proven uniformly ultimately bounded as
-long as u stays where the nets approximate; here that rests on simulation. Gains are ours.
+Slopes V and offsets v_0 of both nets are drawn once, from `seed`, and stay; Ŵ_i(0) = 0, Ŵ(0) is
+the least-squares fit of D̂ to the dead-zone of the guessed parameters. The slope of D̂ teaches the
+compensator, so D̂ has to fit over the whole range of v; where it does not, the loop may chatter.
+
+Any order n in this form (ours; the original drives a Lagrangian mechanical system). Rebuilt from
+descriptions, not transcribed: say "after". In the original tracking error and weights are proven
+uniformly ultimately bounded as long as u stays where the nets approximate; here that rests on
+simulation. Gains, spread of the nodes and v_range are ours.
 """
 
 from __future__ import annotations

@@ -25,8 +25,8 @@ of the wrong sign is at most ρ0. With V = ½ s_a² + ½ b m (|θ̃|²/γ + φ̃
     V' ≤ −b m [(k_d + c k_2) s_a² + (k* − ρ/m_min − ρ0)|s_a|] ≤ −b m k_d s_a²  if k* ≥ ρ/m_min + ρ0
 
 and a guard step only widens ε_a, so V drops: all signals bounded, limsup |s| ≤ ε_a.
-Not proven: the accuracy reached inside the layer (linear analysis and simulation), sampling, delay,
-noise, the guard's detection, a disturbance on top of d/m, and anything with the identifier on.
+Not proven: the accuracy reached inside the layer (linear analysis and simulation), sampling,
+delay, noise, the guard's detection, a disturbance on top of d/m, anything with the identifier on.
 """
 
 from __future__ import annotations
@@ -36,14 +36,32 @@ from dataclasses import replace
 from typing import Any
 
 from dz_ros.core.laws.base import Design, Law, per_regressor
-from dz_ros.core.laws.extensions import (check_start, clip, exceeds, late_gradient, project,
-                                         projection_box, winds_up)
-from dz_ros.core.laws.robust_gains import (GUARD_WINDOW, layer, LEAST_GAIN, nominal_gain, OUTER,
-                                           RobustGains)
+from dz_ros.core.laws.extensions import (
+    check_start,
+    clip,
+    exceeds,
+    late_gradient,
+    project,
+    projection_box,
+    winds_up,
+)
+from dz_ros.core.laws.robust_gains import (
+    GUARD_WINDOW,
+    layer,
+    LEAST_GAIN,
+    nominal_gain,
+    OUTER,
+    RobustGains,
+)
 from dz_ros.core.laws.wang2004 import adaptive_design, control
 from dz_ros.core.records import STATUS, Status
-from dz_ros.core.tracking import (error_weights, feed_forward, feed_forward_weights,
-                                  filtered_error, outside_layer)
+from dz_ros.core.tracking import (
+    error_weights,
+    feed_forward,
+    feed_forward_weights,
+    filtered_error,
+    outside_layer,
+)
 
 _SATURATED = float(Status.SATURATED)
 # Places in the constants; Λ, Λ_v and the projection box follow.

@@ -44,7 +44,7 @@ class RobustGains(ProjectionGains):
                                 open_minimum=True)
     integral_divisor: float = parameter(2.0, '1', 'q of r_I = K²/q; damping √(q b m)/2, 2.5–3 '
                                         'for more', minimum=0.0, open_minimum=True)
-    rho_0: float = parameter(1.47, 'actuator unit', "authority of a wrong-signed integral outside "
+    rho_0: float = parameter(1.47, 'actuator unit', 'authority of a wrong-signed integral outside '
                              'ε_a, at most k* − ρ/m_min', minimum=0.0)
     rho_1: float = parameter(16.0, 'actuator unit', 'authority of the integral: above the largest '
                              'expected residual φ̃u + Yᵀθ̃ + d/m, or v_max', minimum=0.0)

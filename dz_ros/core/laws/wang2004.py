@@ -1,4 +1,4 @@
-"""The robust adaptive law of Wang, Su and Hong, any order n, any number r of regressors [wang2004].
+"""The robust adaptive law of Wang, Su and Hong [wang2004], any order n, any number of regressors.
 
     s    = Λᵀ x̃                                                            (8)
     u_fd = x_d^(n) − Λ_vᵀ x̃                                                (17)
@@ -19,14 +19,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from dz_ros.core.boundary_layer import layer_gain
 from dz_ros.core.laws.base import Design, Law, per_regressor
 from dz_ros.core.records import STATUS
 from dz_ros.core.schema import parameter
-from dz_ros.core.tracking import (error_weights, feed_forward, feed_forward_weights,
-                                  filtered_error, sat)
+from dz_ros.core.tracking import (
+    error_weights,
+    feed_forward,
+    feed_forward_weights,
+    filtered_error,
+    sat,
+)
 
 
 @dataclass(frozen=True)
@@ -100,7 +105,7 @@ class Wang2004(Law):
 
     name = 'wang2004'
     summary = 'robust adaptive law (14)-(16) of Wang, Su and Hong 2004'
-    Gains = Wang2004Gains
+    Gains: ClassVar[type] = Wang2004Gains
 
     def __init__(self, gains: Any = None, order: int = 2, regressor_count: int = 2,
                  period: float = 0.005) -> None:
