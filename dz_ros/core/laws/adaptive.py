@@ -9,7 +9,7 @@ order ρ/(m k_d) and, without projection, θ̂, φ̂ may drift.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 from dz_ros.core.laws.base import Design
@@ -64,4 +64,5 @@ class Adaptive(Wang2004):
     @property
     def design(self) -> Design:
         """What the design rules need."""
-        return adaptive_design(self.gains, self.order, self._k, self.gains.epsilon)
+        found = adaptive_design(self.gains, self.order, self._k, self.gains.epsilon)
+        return found if self._k > 0.0 else replace(found, target=0.0)

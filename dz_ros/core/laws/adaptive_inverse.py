@@ -102,7 +102,7 @@ class AdaptiveInverse(Law):
         g = self.gains
         lead = feed_forward_weights(g.lambda_, self.order)[-1] * g.phi_0
         return Design(g.lambda_, g.k_d * g.phi_0, g.k * g.phi_0, g.epsilon,
-                      layer_gain(g.k_d, g.k, g.epsilon) * g.phi_0, lead, g.epsilon)
+                      layer_gain(g.k_d, g.k, g.epsilon) * g.phi_0, lead, inverse=True)
 
     def initial_memory(self) -> tuple[float, ...]:
         """â(0), β̂(0)."""

@@ -12,10 +12,11 @@ gains; k is 0, 1.47 or 2.5 in the comparison. v jumps by b_r − b_l where v_d c
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dz_ros.core.laws.adaptive import Adaptive, SwitchingGains
+from dz_ros.core.laws.base import Design
 from dz_ros.core.laws.wang2004 import adapt, control
 from dz_ros.core.records import STATUS
 from dz_ros.core.schema import parameter
@@ -42,6 +43,11 @@ class ExactInverse(Adaptive):
     def constants(self) -> tuple[float, ...]:
         """k_d, k, ε, γ, η, Λ, Λ_v, b_r, b_l."""
         return (*super().constants, self.gains.b_r, self.gains.b_l)
+
+    @property
+    def design(self) -> Design:
+        """What the design rules need: k need not cover the dead-zone."""
+        return replace(super().design, inverse=True)
 
     @staticmethod
     def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],

@@ -145,7 +145,8 @@ class Extended(Law):
         g = self.gains
         found = adaptive_design(g, self.order, g.k_star, self.epsilon)
         if g.integral:
-            found = replace(found, reserve=g.rho_i)
+            found = replace(found, reserve=g.rho_i,
+                            integral_rate=found.gain ** 2 / g.integral_divisor)
         if g.projection:
             r = self.regressor_count
             found = replace(found, theta=tuple(zip(self._box[:r], self._box[r:2 * r],

@@ -14,10 +14,11 @@ g κ|s| T < 1), and the rest rests on simulation. Gains are ours.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from dz_ros.core.laws.adaptive import Adaptive, SwitchingGains
+from dz_ros.core.laws.base import Design
 from dz_ros.core.laws.extensions import clip
 from dz_ros.core.laws.wang2004 import adapt, control
 from dz_ros.core.records import STATUS
@@ -56,6 +57,11 @@ class Fuzzy(Adaptive):
     def initial_memory(self) -> tuple[float, ...]:
         """θ̂(0), φ̂(0), d̂± = 0."""
         return (*super().initial_memory(), 0.0, 0.0)
+
+    @property
+    def design(self) -> Design:
+        """What the design rules need: k need not cover the dead-zone."""
+        return replace(super().design, inverse=True, target=0.0)
 
     @staticmethod
     def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],

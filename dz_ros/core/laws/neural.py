@@ -20,7 +20,7 @@ simulation. Gains, spread of the nodes and v_range are ours.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 import random
 from typing import Any
@@ -29,6 +29,7 @@ import numpy as np
 
 from dz_ros.core.deadzone import DeadZone
 from dz_ros.core.laws.adaptive import Adaptive, SwitchingGains
+from dz_ros.core.laws.base import Design
 from dz_ros.core.laws.wang2004 import adapt, control
 from dz_ros.core.records import STATUS
 from dz_ros.core.schema import parameter
@@ -117,6 +118,11 @@ class Neural(Adaptive):
     def initial_memory(self) -> tuple[float, ...]:
         """θ̂(0), φ̂(0), Ŵ_i = 0, the fitted Ŵ."""
         return (*super().initial_memory(), *(0.0,) * (self.gains.nodes + _JUMPS), *self._weights)
+
+    @property
+    def design(self) -> Design:
+        """What the design rules need: k need not cover the dead-zone."""
+        return replace(super().design, inverse=True, target=0.0)
 
     @staticmethod
     def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],

@@ -17,7 +17,7 @@ from typing import Any
 
 from dz_ros.core.laws.adaptive import Adaptive, SwitchingGains
 from dz_ros.core.laws.base import Design
-from dz_ros.core.laws.wang2004 import adapt, adaptive_design, control
+from dz_ros.core.laws.wang2004 import adapt, control
 from dz_ros.core.records import STATUS
 from dz_ros.core.tracking import error_weights, feed_forward, filtered_error
 
@@ -44,9 +44,9 @@ class SlidingIntegral(Adaptive):
 
     @property
     def design(self) -> Design:
-        """What the design rules need: u_fd weighs x^(n−1) by n λ."""
-        found = adaptive_design(self.gains, self.order, self._k, self.gains.epsilon)
-        return replace(found, lead=self.order * self.gains.lambda_ * self.gains.phi_0)
+        """What the design rules need: u_fd weighs x^(n−1) by n λ; Ω_ε is of another surface."""
+        lead = self.order * self.gains.lambda_ * self.gains.phi_0
+        return replace(super().design, lead=lead, target=0.0)
 
     def initial_memory(self) -> tuple[float, ...]:
         """θ̂(0), φ̂(0), I = 0."""
