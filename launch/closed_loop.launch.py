@@ -1,19 +1,20 @@
 """The whole loop: plant, controller and trajectory, with an optional recorder.
 
-    ros2 launch dz_ros closed_loop.launch.py
-    ros2 launch dz_ros closed_loop.launch.py config:=/path/to/file.yaml duration:=60.0 \
-        record:=/path/to/new_run namespace:=left_valve
+ros2 launch dz_ros closed_loop.launch.py
+ros2 launch dz_ros closed_loop.launch.py config:=/path/to/file.yaml duration:=60.0
+ros2 launch dz_ros closed_loop.launch.py record:=/path/to/new_run namespace:=left_valve
 """
 
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+
+from launch import LaunchDescription
 
 PEERS = ['plant_node', 'controller_node', 'trajectory_node']
 

@@ -72,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors='replace')    # a terminal without ε shows ?
     try:
         arguments = _parser(words).parse_args(words)
-        code: int = arguments.run(arguments)
+        code: int = arguments.do(arguments)
         sys.stdout.flush()
         return code
     except SystemExit as end:       # how argparse ends after --help or an error
@@ -119,5 +119,5 @@ def _parser(words: Sequence[str]) -> Parser:
         if tuple(words[:len(path)]) == path:
             module = importlib.import_module(f'dz_ros.cli.{verb.module}')
             module.add_arguments(own)
-            own.set_defaults(run=module.run)
+            own.set_defaults(do=module.run)
     return parser

@@ -26,8 +26,7 @@ from dz_ros.errors import (
 from dz_ros.files import load_configuration, write_parameters
 from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
 
-HELP = 'run the loop: plant, controller, trajectory (and recorder) as ROS 2 processes'
-ORDER = ('plant_node', 'trajectory_node', 'controller_node', 'recorder_node')
+ORDER = (('plant_node',), ('trajectory_node', 'controller_node'), ('recorder_node',))
 """The order in which nodes are ended: whoever drives the loop first, whoever records it last."""
 GRACE = 10.0
 """A node that has not ended this long after being told is killed [s]."""
@@ -45,7 +44,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--record', type=Path, metavar='DIR',
                         help='record the run to this directory, which must not exist')
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE',
-                        dest='overrides', help='change one key of the configuration; may be repeated')
+                        dest='overrides',
+                        help='change one key of the configuration; may be repeated')
     parser.add_argument('--lockstep', action='store_true',
                         help='step when messages have arrived, as fast as the machine goes; '
                              'the same as --set loop.timing=lockstep')
@@ -224,19 +224,19 @@ class _Loop:
 
     def _end(self) -> None:
         """End the nodes in order, each by its own process id; kill what does not end."""
-        for name in ORDER:
-            process = self._processes.get(name)
-            if process is None:
-                continue
-            if process.poll() is None:
-                process.send_signal(signal.SIGINT)
-            try:
-                code = process.wait(GRACE)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                code = process.wait()
-            if code != 0:
-                self._failed.setdefault(name, code)
+        for names in ORDER:
+            ending = {name: self._processes[name] for name in names if name in self._processes}
+            for process in ending.values():
+                if process.poll() is None:
+                    process.send_signal(signal.SIGINT)
+            for name, process in ending.items():
+                try:
+                    code = process.wait(GRACE)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    code = process.wait()
+                if code != 0:
+                    self._failed.setdefault(name, code)
         for reader in self._readers:
             reader.join(1.0)
 

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 import sys
+import time
 from typing import TextIO
 
 import numpy as np
@@ -40,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.record is not None:
         _refuse_existing(arguments.record, 'directory')
     done = simulate_offline(configuration)
-    data = from_run(done)
+    data = from_run(done, time.time_ns())
     if csv is not None:
         with csv.open('x', encoding='ascii', newline='') as file:
             write_csv(done, file)

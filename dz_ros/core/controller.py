@@ -14,6 +14,7 @@ and three rules:
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 import math
 
 from dz_ros.core.configuration import Configuration
@@ -104,7 +105,8 @@ class Controller:
         self._plant.regressors(state.x, self._plant_constants, self._y)
         command, self.memory, terms = self.law.step(self.memory, reference, state, self._y, dt,
                                                     status)
-        command = Command(self._count, state.stamp, command.v, state.seq, state.stamp)
+        command = replace(command, seq=self._count)
+        terms = replace(terms, seq=self._count)
         self._count += 1
         self._last = (state, command, terms)
         return command, terms

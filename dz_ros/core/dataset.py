@@ -92,7 +92,7 @@ def from_run(run: Run, start_ns: int = 0) -> RunData:
         'command': channel(Command.labels(), seq, run.t, run.v, seq, run.t,
                            np.zeros(count)),
         'terms': channel(Terms.labels(c.law.signal_names), seq, run.t, run.terms[:, :STATUS],
-                         np.full(count, c.loop.period), run.terms[:, STATUS:STATUS + 1], seq,
+                         np.full(count, c.loop.period), run.terms[:, STATUS:STATUS + 1], seq, seq,
                          run.terms[:, STATUS + 1:]),
         'truth': channel(Truth.labels(), seq, run.t, run.truth),
     }, c.to_flat(), {'mode': 'offline'})

@@ -133,7 +133,8 @@ def simulate(configuration: Configuration) -> Run:
     """Return the closed loop of a configuration, from t = 0 to its duration.
 
     Raises:
-        OverflowError: The loop diverged beyond what its functions can evaluate.
+        OverflowError, ValueError: The loop diverged beyond what its functions can evaluate. One
+            that ends in infinities or NaN without that is returned as it is.
     """
     c = configuration
     last = c.loop.samples

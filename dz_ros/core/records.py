@@ -157,12 +157,13 @@ class Terms:
     """Every term of the law in one sample.
 
     Attributes:
-        seq: seq of the state answered.
-        stamp: Its stamp [s].
+        seq: seq of the command they explain.
+        stamp: Loop time for which it was computed [s].
         values: The numbers named by `TERM_NAMES`, shape (8,).
         dt: Interval by which adaptation advanced [s]; 0 = frozen.
         status: Why it was frozen, `Status` bits.
         reference_seq: seq of the reference used.
+        echo_seq: seq of the state answered.
         signals: The law's own numbers (θ̂, φ̂ as used in v, …), shape as its ``signal_names``.
     """
 
@@ -172,17 +173,19 @@ class Terms:
     dt: float
     status: Status
     reference_seq: int
+    echo_seq: int
     signals: tuple[float, ...] = ()
 
     @staticmethod
     def labels(signal_names: tuple[str, ...]) -> tuple[str, ...]:
         """Return the field names for a law with these signals."""
-        return ('seq', 'stamp', *TERM_NAMES, 'dt', 'status', 'reference_seq', *signal_names)
+        return ('seq', 'stamp', *TERM_NAMES, 'dt', 'status', 'reference_seq', 'echo_seq',
+                *signal_names)
 
     def numbers(self) -> tuple[float, ...]:
         """Return the record as its labels name it."""
         return (self.seq, self.stamp, *self.values, self.dt, self.status,
-                self.reference_seq, *self.signals)
+                self.reference_seq, self.echo_seq, *self.signals)
 
 
 @dataclass(frozen=True)

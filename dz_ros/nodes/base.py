@@ -31,12 +31,13 @@ class LoopNode(Node):
 
     Args:
         name: Default node name.
+        executor: Serves its callbacks; default is the one with the least delay.
 
     Attributes:
         stopping: True once a signal asked the node to end.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, executor: Any = None) -> None:
         super().__init__(name)
         self.stopping = False
         self.configuration: Configuration
@@ -45,7 +46,7 @@ class LoopNode(Node):
         self._records: dict[str, tuple[Publisher, ArrayCodec]] = {}
         self._claims: list[Any] = []
         self._counts: dict[str, int] = {}
-        self._executor = _executor()
+        self._executor = executor or _executor()
         self._executor.add_node(self)
 
     def offer(self, topic: str, labels: Sequence[str]) -> Callable[[Sequence[float]], None]:
@@ -74,7 +75,8 @@ class LoopNode(Node):
             payload = encode(numbers)
             while not self.stopping:
                 try:
-                    return publish(payload)
+                    publish(payload)
+                    return
                 except rclpy_implementation.RCLError:
                     self.count(f'a reader of {publisher.topic_name} is behind, the loop waits')
 
@@ -112,16 +114,17 @@ class LoopNode(Node):
         text = json.dumps({'node': self.get_fully_qualified_name(), 'event': name, **details})
         self._events.publish(topics.TYPES['events'](data=text))
 
-    def announce(self, *owns: str) -> None:
+    def announce(self, *owns: str, **details: Any) -> None:
         """Publish the configuration this node runs with.
 
         Args:
             *owns: Sections in which this node's values are the loop's.
+            **details: What else the node has to say of its beginning.
         """
         self.event('configuration', version=version(), owns=owns,
                    rmw=rclpy.get_rmw_implementation_identifier(),
                    configuration=self.configuration.to_flat(),
-                   set_aside=self.configuration.set_aside)
+                   set_aside=self.configuration.set_aside, **details)
 
     def missing(self) -> list[str]:
         """Return which peers do not listen yet to what this node publishes, in words."""

@@ -38,7 +38,8 @@ class ControllerNode(LoopNode):
             'JSON, for the program that started this node; 0 = none [Hz]')).value
         self._progress = Progress(self.configuration, rate) if rate > 0.0 else None
         self.take('reference', Reference.labels(self._order), self._on_reference)
-        self.announce('controller')
+        # From this command on, with this memory: all a reader needs to recompute the run.
+        self.announce('controller', seq=0, memory=self._controller.memory)
 
     def run(self) -> None:
         """Answer states until told to end.

@@ -11,6 +11,7 @@ import importlib
 import signal
 import sys
 from types import FrameType
+from typing import Any
 
 from dz_ros.errors import DzRosError, NO_RCLPY
 from dz_ros.runtime.process import settle
@@ -24,11 +25,15 @@ def run_node(name: str) -> int:
     """Run one node until it is done or told to end; return the exit code."""
     try:
         import rclpy
+        from rclpy.logging import LoggingSeverity, set_logger_level
         from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
         return _complain(name, f'{NO_RCLPY} ({error})')
+    # rcl logs what it then raises as well; one line is enough.
+    set_logger_level('rcl', LoggingSeverity.FATAL)
     try:
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        set_logger_level('rcl', LoggingSeverity.UNSET)
     except Exception as error:  # noqa: BLE001  rclpy raises its own kinds for bad arguments
         return _complain(name, _first_line(error))
     node = None
@@ -56,10 +61,19 @@ def run_node(name: str) -> int:
             raise
         code = _complain(name, _first_line(error))
     finally:
-        if node is not None:
-            node.close()
+        code = _close(name, node) or code
         rclpy.try_shutdown()
     return code
+
+
+def _close(name: str, node: Any) -> int:
+    """Close a node; return the exit code of what went wrong in it, 0 if nothing."""
+    try:
+        if node is not None:
+            node.close()
+    except DzRosError as error:
+        return _complain(name, str(error))
+    return 0
 
 
 def _complain(name: str, message: str) -> int:

@@ -59,9 +59,9 @@ class Progress:
                    else self._epsilon)
         rate = self._every / ((taken_ns - self._line_ns) * 1e-9) if self._line_ns else None
         self._line_ns = taken_ns
-        line = json.dumps({'t': state.stamp, 'error': error, 'v': v, 'late': self._late if self._realtime else None,
+        line = json.dumps({'t': state.stamp, 'error': error, 'v': v,
                            's_over_epsilon': terms.values[0] / epsilon if epsilon else None,
-                           'rate': rate})
+                           'rate': rate, 'late': self._late if self._realtime else None})
         try:
             os.write(self._out, line.encode() + b'\n')
         except OSError:

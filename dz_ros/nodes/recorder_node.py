@@ -7,23 +7,27 @@ except that the loop's first sample waits for it when `loop.peers` names it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import json
 from pathlib import Path
 import time
 
 from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.executors import SingleThreadedExecutor
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.errors import ConfigurationError, MessageError
 from dz_ros.nodes import topics
-from dz_ros.nodes.base import LoopNode
+from dz_ros.nodes.base import LoopNode, SPIN_LIMIT
 from dz_ros.nodes.parameters import configure
+from dz_ros.nodes.taking import Store, Taker
 from dz_ros.recording.cdr import decode_string
 from dz_ros.recording.channels import CHANNELS
+from dz_ros.recording.description import default_info
 from dz_ros.recording.queued import QueuedWriter
-from dz_ros.recording.writer import default_info, RunWriter
+from dz_ros.recording.writer import RunWriter
 
+SERVE = 0.1
+"""Services, such as those of the parameters, are served this often [s]."""
 QUIET = 0.2
 """The recorder ends when nothing has arrived for this long [s] …"""
 DRAIN_LIMIT = 5.0
@@ -39,37 +43,33 @@ class RecorderNode(LoopNode):
     """
 
     def __init__(self) -> None:
-        super().__init__('recorder_node')
+        super().__init__('recorder_node', SingleThreadedExecutor())
         self.configuration: Configuration = configure(self, 'loop')
         directory = self.declare_parameter('directory', '', ParameterDescriptor(
             read_only=True, description='directory of the run; must not exist yet')).value
         if not directory:
             raise ConfigurationError('directory', directory, 'must be the directory to record to, '
                                      'one that does not exist yet')
-        self._received = 0
-        self._received_at = 0.0
+        self._taker = Taker(self)
         info = {**default_info(), 'mode': self.configuration.loop.timing,
                 'namespace': self.get_namespace()}
-        self._path = Path(directory)
-        self._writer = QueuedWriter(RunWriter(self._path, info, {}))
+        self._writer = QueuedWriter(RunWriter(Path(directory), info, {}))
         # Log times advance with the steady clock: a step of the wall clock must not reorder a run.
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         for name, channel in CHANNELS.items():
             topic = self.resolve_topic_name(name)
             self._writer.add_topic(topic, channel.type.name, channel.qos)
-            self.create_subscription(topics.TYPES[name], topic, self._storer(name, topic),
-                                     topics.everything(name, self.lockstep), raw=True)
+            self._taker.subscribe(topics.TYPES[name], topic,
+                                  topics.everything(name, self.lockstep),
+                                  self._storer(name, topic))
 
-    def _storer(self, name: str, topic: str) -> Callable[[bytes, dict[str, int]], None]:
+    def _storer(self, name: str, topic: str) -> Store:
         """Return the callback that stores a topic's messages."""
         put, epoch_ns = self._writer.put, self._epoch_ns
         is_event = name == 'events'
 
-        def store(payload: bytes, info: dict[str, int]) -> None:
-            now_ns = time.monotonic_ns()
-            put(topic, payload, now_ns + epoch_ns, info['source_timestamp'])
-            self._received += 1
-            self._received_at = now_ns * 1e-9
+        def store(payload: bytes, source_ns: int) -> None:
+            put(topic, payload, time.monotonic_ns() + epoch_ns, source_ns)
             if is_event:
                 self._keep_configuration(payload)
 
@@ -94,14 +94,29 @@ class RecorderNode(LoopNode):
 
     def run(self) -> None:
         """Record until told to end and nothing more arrives, or until the disk refuses."""
+        served = 0.0
         while not self.stopping and self._writer.error is None:
-            self._executor.spin_once(timeout_sec=0.05)
-        told = time.monotonic()
-        while time.monotonic() < min(told + DRAIN_LIMIT, max(told, self._received_at) + QUIET):
-            self._executor.spin_once(timeout_sec=QUIET)
+            self._taker.take_all(SPIN_LIMIT)
+            if time.monotonic() - served > SERVE:
+                self._executor.spin_once(timeout_sec=0.0)
+                served = time.monotonic()
+        give_up = time.monotonic() + DRAIN_LIMIT
+        while self._taker.take_all(QUIET) and time.monotonic() < give_up:
+            pass
 
     def close(self) -> None:
-        """Write what is queued, close the file and say what was recorded."""
+        """Write what is queued, close the file and say what was recorded.
+
+        Raises:
+            RecordingError: Not everything could be written.
+        """
         summary = self._writer.close()
-        self.get_logger().info(f'{self._path}: {summary}')
+        disorder = ''.join(f', {topic.rpartition("/")[2]}: {found.missing} missing '
+                           f'{found.reordered} reordered'
+                           for topic, found in summary.topics.items()
+                           if found.missing or found.reordered)
+        self.get_logger().info(f'{summary.messages} messages in {summary.directory}'
+                               f'{disorder or ", none missing"}')
         super().close()
+        if self._writer.error is not None:
+            raise self._writer.error

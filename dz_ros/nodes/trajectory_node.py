@@ -11,6 +11,9 @@ from dz_ros.core.records import Reference, State
 from dz_ros.nodes.base import LoopNode
 from dz_ros.nodes.parameters import configure
 
+CATCH_UP = 100
+"""References of states that never came here are sent late, up to so many, to leave no gap."""
+
 
 class TrajectoryNode(LoopNode):
     """Trajectory generator."""
@@ -33,14 +36,13 @@ class TrajectoryNode(LoopNode):
         super().run()
 
     def _on_state(self, numbers: tuple[float, ...]) -> None:
-        """Send the reference for the next sample, and for this one if it was not sent."""
+        """Send the reference for the next sample, and those before it that were not sent."""
         state = State.from_numbers(numbers)
         if state.seq + 1 == self._sent:
             return
-        if state.seq != self._sent:
-            self._send(state.seq, state.stamp)
-        self._send(state.seq + 1, (round(state.stamp / self._period) + 1) * self._period)
-
-    def _send(self, seq: int, stamp: float) -> None:
-        self._publish_reference((seq, stamp, *self._trajectory(stamp)))
-        self._sent = seq
+        sample = round(state.stamp / self._period)
+        first = self._sent + 1 if 0 <= state.seq - self._sent < CATCH_UP else state.seq
+        for seq in range(first, state.seq + 2):
+            stamp = (sample + seq - state.seq) * self._period
+            self._publish_reference((seq, stamp, *self._trajectory(stamp)))
+        self._sent = state.seq + 1

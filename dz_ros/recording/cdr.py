@@ -18,6 +18,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 import struct
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dz_ros.errors import MessageError
 
 LITTLE_ENDIAN = b'\x00\x01\x00\x00'
@@ -76,14 +79,18 @@ class ArrayCodec:
             raise MessageError(f'{list(values)!r}: must be {len(self.labels)} numbers '
                                f'({", ".join(self.labels)})', self.labels) from None
 
+    def matches(self, payload: bytes) -> bool:
+        """Return whether the payload has the layout that `encode` writes, pad bytes aside."""
+        return (len(payload) == self.size and payload.startswith(self._head)
+                and payload.startswith(self._middle, self._middle_start))
+
     def decode(self, payload: bytes) -> tuple[float, ...]:
         """Return the numbers of a payload, shape (len(labels),).
 
         Raises:
             MessageError: Other labels, another length, or not such a message at all.
         """
-        if (len(payload) == self.size and payload.startswith(self._head)
-                and payload.startswith(self._middle, self._middle_start)):
+        if self.matches(payload):
             return self._unpack_from(payload, self.data_start)
         try:
             labels, values = decode_array(payload)
@@ -95,6 +102,24 @@ class ArrayCodec:
             raise MessageError(f'message carries {found}; expected {", ".join(self.labels)}',
                                self.labels, labels)
         return values
+
+    def decode_many(self, payloads: Sequence[bytes]) -> NDArray[np.float64] | None:
+        """Return the numbers of many payloads, shape (N, len(labels)).
+
+        Returns:
+            None where some payload is not laid out as `encode` does: decode them one by one.
+        """
+        table = np.frombuffer(b''.join(payloads), np.uint8)
+        if len(table) != len(payloads) * self.size or any(
+                len(payload) != self.size for payload in payloads):
+            return None
+        table = table.reshape(-1, self.size)
+        middle = table[:, self._middle_start:self._middle_start + len(self._middle)]
+        if (table[:, :len(self._head)] != np.frombuffer(self._head, np.uint8)).any() or (
+                middle != np.frombuffer(self._middle, np.uint8)).any():
+            return None
+        return np.ascontiguousarray(table[:, self.data_start:]).view('<f8').astype(
+            np.float64, copy=False)
 
 
 def decode_array(payload: bytes) -> tuple[tuple[str, ...], tuple[float, ...]]:
@@ -189,7 +214,8 @@ class _Body:
 
     def doubles(self, count: int) -> tuple[float, ...]:
         """Return the next `count` doubles."""
-        if not count:
+        if not count:      # some writers align for the element that does not come, some do not
+            self._position = min(_aligned(self._position, 8), len(self._data))
             return ()
         start = self._take(8 * count, 8)
         return struct.unpack_from(f'{self._order}{count}d', self._data, start)

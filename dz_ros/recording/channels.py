@@ -18,13 +18,15 @@ class MessageType:
 
     Attributes:
         name: Full name, ``package/msg/Type``.
-        definition: Its .msg text followed by those it uses, MCAP's ``ros2msg`` encoding.
+        definition: Its .msg text followed by those it uses.
         type_hash: RIHS01 hash [REP 2011].
+        encoding: How the definition is written, MCAP's name for it.
     """
 
     name: str
     definition: str
     type_hash: str
+    encoding: str = 'ros2msg'
 
 
 @dataclass(frozen=True)

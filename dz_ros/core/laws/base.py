@@ -170,6 +170,6 @@ class Law(ABC):
         v = self.kernel(self.constants, memory, reference.x_d, state.x, y, dt, new_memory, buffer)
         command = Command(state.seq, state.stamp, v, state.seq, state.stamp)
         terms = Terms(state.seq, state.stamp, tuple(buffer[:STATUS]), dt,
-                      status | Status(int(buffer[STATUS])), reference.seq,
+                      status | Status(int(buffer[STATUS])), reference.seq, state.seq,
                       tuple(buffer[STATUS + 1:]))
         return command, tuple(new_memory), terms

@@ -93,7 +93,7 @@ class Chirp(Trajectory):
             total = 0.0
             weight = 1.0
             for j in range(m, -1, -1):
-                total += weight * smooth_step(u, m - j) * slope ** (m - j) * x_d[j]
-                weight = weight * j / (m - j + 1)
+                total += weight * smooth_step(u, m - j) * x_d[j]
+                weight = weight * slope * j / (m - j + 1)
             x_d[m] = total
         x_d[0] += p[5]

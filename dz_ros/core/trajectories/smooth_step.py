@@ -28,13 +28,14 @@ def smooth_step(u: float, derivative: int) -> float:
     late = u > 0.5  # σ(u) = 1 − σ(1 − u): near the end, without cancellation
     z = 1.0 - u if late else u
     total = 0.0
-    for i in range(5):
-        power = 5 + i
-        factor = _COEFFICIENTS[i]
+    lowest = max(5, derivative)  # products, no powers: the same digits when compiled
+    for power in range(9, lowest - 1, -1):
+        factor = _COEFFICIENTS[power - 5]
         for j in range(derivative):
             factor *= power - j
-        if power >= derivative:
-            total += factor * z ** (power - derivative)
+        total = total * z + factor
+    for _ in range(lowest - derivative):
+        total *= z
     if not late or derivative % 2 == 1:
         return total
     return 1.0 - total if derivative == 0 else -total

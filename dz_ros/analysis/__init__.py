@@ -1,0 +1,1 @@
+"""Runs as arrays, turned into numbers, pictures and pages; knows no ROS and no file format."""

@@ -1,0 +1,81 @@
+"""Taking messages by hand: every message that has come, with its times, in one wake-up.
+
+The executor with the least delay cannot hand over a message's source time-stamp in this version
+of rclpy (it raises SystemError for callbacks with two arguments), and the others spend far more on
+waking up than a recorder has to do per message. So a recorder waits on its subscriptions itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+Store = Callable[[bytes, int], None]
+"""Takes a message's bytes and its source time-stamp [ns since the epoch]."""
+
+
+class _ByHand(CallbackGroup):
+    """The group of subscriptions that executors leave alone."""
+
+    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
+        """Return False: no executor may take these messages."""
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
+        """Return False."""
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        """Do nothing."""
+
+
+class Taker:
+    """Subscriptions of a node whose messages are taken by `take_all`.
+
+    Args:
+        node: The node; spin it by an executor that honours callback groups.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._group = _ByHand()
+        self._subscriptions: list[tuple[Subscription, Store]] = []
+        self._wait_set: Any = None
+
+    def subscribe(self, message_type: Any, topic: str, qos: Any, store: Store) -> None:
+        """Subscribe a topic before the first `take_all`."""
+        subscription = self._node.create_subscription(
+            message_type, topic, _never, qos, callback_group=self._group, raw=True)
+        self._subscriptions.append((subscription, store))
+
+    def take_all(self, timeout: float) -> int:
+        """Wait for messages, hand over all that have come, return their number.
+
+        Args:
+            timeout: Longest wait [s].
+        """
+        if self._wait_set is None:
+            self._wait_set = rclpy_implementation.WaitSet(
+                len(self._subscriptions), 0, 0, 0, 0, 0, self._node.context.handle)
+        self._wait_set.clear_entities()
+        for subscription, _ in self._subscriptions:
+            self._wait_set.add_subscription(subscription.handle)
+        self._wait_set.wait(int(timeout * 1e9))
+        taken = 0
+        for index, (subscription, store) in enumerate(self._subscriptions):
+            if not self._wait_set.is_ready('subscription', index):
+                continue
+            handle, message_type = subscription.handle, subscription.msg_type
+            while (found := handle.take_message(message_type, True)) is not None:
+                store(found[0], found[1]['source_timestamp'])
+                taken += 1
+        return taken
+
+
+def _never(message: bytes) -> None:
+    """Stand in for a callback that is never called."""

@@ -1,0 +1,75 @@
+"""Many messages of one topic as one table of numbers.
+
+Messages of one topic have the same labels and so the same size: their bytes, end to end, are an
+array whose columns are compared and taken out at once. What does not fit is decoded one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from dz_ros.core.dataset import Array, Channel, Times
+from dz_ros.errors import MessageError
+from dz_ros.recording.cdr import ArrayCodec, decode_array
+
+
+class Table:
+    """Collects the messages of one topic."""
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.count = 0
+        self._codec: ArrayCodec | None = None
+        self._values: list[Array] = []
+        self._log: list[Times] = []
+        self._publish: list[Times] = []
+
+    def add(self, log_times: Sequence[int], publish_times: Sequence[int],
+            payloads: Sequence[bytes]) -> None:
+        """Take in some messages.
+
+        Raises:
+            MessageError: No records of dz_ros, or labels other than those before.
+        """
+        if self._codec is None:
+            self._codec = self._learn(payloads[0])
+        values = self._codec.decode_many(payloads)
+        if values is None:
+            values = np.array([self._decode(payload, self.count + i)
+                               for i, payload in enumerate(payloads)], dtype=float)
+        self._values.append(values)
+        self._log.append(np.array(log_times, dtype=np.int64))
+        self._publish.append(np.array(publish_times, dtype=np.int64))
+        self.count += len(payloads)
+
+    def channel(self) -> Channel:
+        """Return what was collected, read-only; there must have been a message."""
+        assert self._codec is not None
+        values = np.concatenate(self._values)
+        log, publish = np.concatenate(self._log), np.concatenate(self._publish)
+        for array in (values, log, publish):
+            array.flags.writeable = False
+        return Channel(self._codec.labels, values, log, publish)
+
+    def _learn(self, payload: bytes) -> ArrayCodec:
+        """Return the codec for messages like this one."""
+        try:
+            labels, values = decode_array(payload)
+        except MessageError as error:
+            raise MessageError(f'topic {self.topic}: message 0: {error}') from None
+        if labels[:2] != ('seq', 'stamp'):
+            found = ', '.join(labels) if labels else f'{len(values)} numbers without names'
+            raise MessageError(f'topic {self.topic} does not carry records of dz_ros, whose names '
+                               f'begin with seq, stamp: it carries {found}', got=labels)
+        return ArrayCodec(labels)
+
+    def _decode(self, payload: bytes, index: int) -> tuple[float, ...]:
+        """Return the numbers of one message."""
+        assert self._codec is not None
+        try:
+            return self._codec.decode(payload)
+        except MessageError as error:
+            raise MessageError(f'topic {self.topic}: message {index}: {error}',
+                               error.expected, error.got) from None

@@ -1,0 +1,172 @@
+"""Fixtures for every test: a ROS domain of one's own, processes that never outlive their test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+import contextlib
+import fcntl
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+
+import pytest
+
+DOMAINS = range(102)
+"""ROS_DOMAIN_ID that leave room for DDS's ports on every platform."""
+
+END_TIME_OUT = 30.0
+"""A process that has not ended this long after SIGINT is killed [s]."""
+
+
+@pytest.fixture
+def ros_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """Yield a ROS_DOMAIN_ID no other test of this machine uses meanwhile; set the environment."""
+    start = os.getpid() % len(DOMAINS)
+    with contextlib.ExitStack() as stack:
+        for offset in DOMAINS:
+            domain = (start + offset) % len(DOMAINS)
+            lock = Path(tempfile.gettempdir()) / f'dz_ros-test-domain-{domain}.lock'
+            try:
+                file = lock.open('a')
+            except OSError:     # another user's
+                continue
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                file.close()
+                continue
+            stack.enter_context(file)
+            break
+        else:
+            pytest.fail('every ROS domain from 0 to 101 is in use by tests of this machine')
+        monkeypatch.setenv('ROS_DOMAIN_ID', str(domain))
+        monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        monkeypatch.delenv('ROS_LOCALHOST_ONLY', raising=False)
+        yield domain
+
+
+class Process:
+    """A program under test, in a session of its own, its output collected line by line.
+
+    Attributes:
+        command: What was started.
+    """
+
+    def __init__(self, command: Sequence[str], environment: Mapping[str, str],
+                 folder: Path | None) -> None:
+        self.command = list(command)
+        self._process = subprocess.Popen(
+            self.command, env=dict(environment), cwd=folder, stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors='replace',
+            start_new_session=True)
+        self._lines: list[str] = []
+        self._changed = threading.Condition()
+        self._finished = False
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            with self._changed:
+                self._lines.append(line.rstrip('\n'))
+                self._changed.notify_all()
+        with self._changed:
+            self._finished = True
+            self._changed.notify_all()
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    @property
+    def output(self) -> str:
+        """What it has written so far, standard output and error together."""
+        with self._changed:
+            return '\n'.join(self._lines)
+
+    def poll(self) -> int | None:
+        """Return its exit code, None while it runs."""
+        return self._process.poll()
+
+    def wait_for_line(self, part: str, timeout: float = 60.0) -> str:
+        """Return the first line that contains a text; fail if it ends or takes too long."""
+        deadline = time.monotonic() + timeout
+        with self._changed:
+            seen = 0
+            while True:
+                for line in self._lines[seen:]:
+                    if part in line:
+                        return line
+                seen = len(self._lines)
+                if self._finished or not self._changed.wait(deadline - time.monotonic()):
+                    text = '\n'.join(self._lines)
+                    pytest.fail(f'{" ".join(self.command)} never wrote {part!r}:\n{text}')
+
+    def signal(self, number: int) -> None:
+        """Send a signal to the process alone, as `kill PID` does."""
+        self._process.send_signal(number)
+
+    def wait(self, timeout: float = 60.0) -> int:
+        """Return its exit code once it and its output have ended; fail after the time-out."""
+        try:
+            code = self._process.wait(timeout)
+        except subprocess.TimeoutExpired:
+            pytest.fail(f'{" ".join(self.command)} still runs after {timeout:g} s:\n{self.output}')
+        self._reader.join(timeout)
+        return code
+
+    def interrupt(self, timeout: float = END_TIME_OUT) -> int:
+        """End it as Ctrl-C would and return its exit code."""
+        if self.poll() is None:
+            self.signal(signal.SIGINT)
+        return self.wait(timeout)
+
+    def end(self) -> None:
+        """End it by its own id: SIGINT first, SIGKILL if that does not help."""
+        if self.poll() is None:
+            self.signal(signal.SIGINT)
+            try:
+                self._process.wait(END_TIME_OUT)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        self._reader.join(END_TIME_OUT)
+        if self._process.stdout is not None and not self._reader.is_alive():
+            self._process.stdout.close()
+
+
+StartProcess = Callable[..., Process]
+
+
+@pytest.fixture
+def processes() -> Iterator[StartProcess]:
+    """Yield ``start(*command, cwd=None, **environment) -> Process``; end all when the test ends.
+
+    A command that starts with a word ending in ``.py`` or with ``-m`` runs in this Python.
+    Environment variables given as None are removed.
+    """
+    started: list[Process] = []
+
+    def start(*command: str | os.PathLike[str], cwd: Path | None = None,
+              **environment: str | None) -> Process:
+        words = [os.fspath(word) for word in command]
+        if words[0] == '-m' or words[0].endswith('.py'):
+            words.insert(0, sys.executable)
+        merged = {**os.environ, 'PYTHONUNBUFFERED': '1', **environment}
+        process = Process(words, {key: value for key, value in merged.items()
+                                  if value is not None}, cwd)
+        started.append(process)
+        return process
+
+    try:
+        yield start
+    finally:
+        for process in reversed(started):
+            process.end()

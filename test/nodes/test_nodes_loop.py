@@ -1,0 +1,166 @@
+"""The loop as real processes over real DDS: started, recorded, interrupted, killed, refused."""
+
+import os
+from pathlib import Path
+import signal
+import sys
+
+import numpy as np
+import pytest
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.loop import simulate
+from dz_ros.files import load_configuration
+from dz_ros.recording.reader import read_run
+
+pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
+
+DZ = ('-m', 'dz_ros')
+NODE = ('-m', 'dz_ros.nodes.main')
+CONFIG = Path(__file__).parents[2] / 'config'
+
+
+def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
+    run = processes(*DZ, 'run', 'wang2004', '--duration', '6', '--record', tmp_path / 'run')
+    assert run.wait() == 0, run.output
+    data = read_run(tmp_path / 'run')
+    state, command, terms = (data.channels[name] for name in ('state', 'command', 'terms'))
+    assert list(state['seq']) == list(range(len(state)))
+    # Each publisher counts on its own: nothing got lost on the way, even if the machine stalled.
+    for name, channel in data.channels.items():
+        assert list(channel['seq']) == list(range(len(channel))), name
+    assert np.array_equal(command['echo_seq'], terms['echo_seq'])
+    assert tuple(state.values[0, 2:4]) == (-2.5, 3.5)
+    assert state['stamp'][-1] == pytest.approx(6.0)
+    assert np.all(np.diff(state['stamp']) > 0.004)
+    # A state echoes the newest command before it: within one sample unless the machine stalls.
+    assert np.median(state['seq'][1:] - state['echo_seq'][1:]) == 1
+    assert np.all(state['round_trip'][2:] > 0.0)
+    assert np.all(command['hold'] > 0.0)
+    assert terms['theta1'][0] == 0.85
+    offline = simulate(Configuration.from_flat({'loop.duration': 6.0}))
+    error = state['x0'][-1] - 2.5 * np.sin(6.0)
+    assert abs(error) < abs(offline.x[0, 0]) / 25
+    assert data.configuration['controller.k_star'] == 2.5
+    assert data.info['mode'] == 'realtime'
+    assert 'Traceback' not in run.output
+
+
+@pytest.mark.parametrize('overrides', [
+    ('wang2004', 'plant.substeps=1'),
+    ('wang2004', 'controller.law=pd'),
+    ('wang2004', 'loop.delay=2', 'plant.noise=[0.001, 0.01]', 'loop.seed=7'),
+    ('zhang_feng1997',), ('first_order',), ('servo',), ('pendulum',), ('valve_actuator',),
+    ('step',)], ids=lambda words: ' '.join(words))
+def test_lockstep_equals_the_offline_loop_bit_for_bit(processes, tmp_path, overrides):
+    name, *keys = overrides
+    words = [word for key in keys for word in ('--set', key)]
+    run = processes(*DZ, 'run', name, '--lockstep', '--duration', '2', '--quiet', '--record',
+                    tmp_path / 'run', *words)
+    assert run.wait() == 0, run.output
+    data = read_run(tmp_path / 'run')
+    offline = simulate(load_configuration(name, [*keys, 'loop.duration=2']))
+    state, command = data.channels['state'], data.channels['command']
+    order = offline.x.shape[1]
+    assert np.array_equal(state.values[:, 2:2 + order], offline.x_measured)
+    assert np.array_equal(command['v'], offline.v)
+    assert np.array_equal(data.channels['truth'].values[:, 2:], offline.truth)
+    for signal_name in offline.configuration.law.signal_names:
+        assert np.array_equal(data.channels['terms'][signal_name], offline.column(signal_name))
+    assert np.array_equal(data.channels['reference'].values[:len(state), 2:], offline.x_d)
+    assert data.info['mode'] == 'lockstep'
+
+
+def test_lockstep_meets_the_reference_run(processes, tmp_path):
+    run = processes(*DZ, 'run', 'wang2004', '--lockstep', '--set', 'plant.substeps=1',
+                    '--set', 'loop.duration=20', '--record', tmp_path / 'run')
+    assert run.wait(120) == 0, run.output
+    data = read_run(tmp_path / 'run')
+    expected = np.loadtxt(Path(__file__).parents[1] / 'data' / 'wang2004_lambda1_rk4.csv',
+                          delimiter=',', skiprows=2)
+    assert len(expected) == 4001
+    assert np.abs(data.channels['state'].values[:, 2:4] - expected[:, 2:4]).max() <= 1e-10
+    assert np.abs(data.channels['command']['v'] - expected[:, 4]).max() <= 1e-8
+    estimates = np.column_stack([data.channels['terms'][name]
+                                 for name in ('theta1', 'theta2', 'phi')])
+    assert np.abs(estimates - expected[:, 5:8]).max() <= 1e-10
+
+
+def test_ctrl_c_ends_everything_in_order_without_a_traceback(processes, tmp_path):
+    run = processes(*DZ, 'run', '--duration', '600', '--record', tmp_path / 'run')
+    run.wait_for_line('v ')
+    run.signal(signal.SIGINT)
+    run.signal(signal.SIGINT)
+    assert run.wait() == 130
+    assert 'Traceback' not in run.output
+    assert 'none missing' in run.output
+    data = read_run(tmp_path / 'run')
+    assert len(data.channels['state']) > 1
+
+
+def test_a_second_loop_is_refused_and_the_first_goes_on(processes, tmp_path):
+    first = processes(*DZ, 'run', '--duration', '0')
+    first.wait_for_line('v ')
+    second = processes(*DZ, 'run', '--duration', '1', '--record', tmp_path / 'second')
+    assert second.wait() == 2
+    assert second.output.count('\n') == 0
+    assert 'another loop' in second.output
+    assert 'ROS_DOMAIN_ID' in second.output
+    assert not (tmp_path / 'second').exists()
+    beside = processes(*DZ, 'run', '--duration', '1', '--namespace', '/left')
+    assert beside.wait() == 0, beside.output
+    assert first.interrupt() == 0, first.output
+
+
+def test_a_killed_node_is_named_and_the_recording_survives(processes, tmp_path):
+    run = processes(*DZ, 'run', '--duration', '600', '--record', tmp_path / 'run')
+    run.wait_for_line('v ')
+    children = {}
+    for child in Path(f'/proc/{run.pid}/task/{run.pid}/children').read_text().split():
+        words = Path(f'/proc/{child}/cmdline').read_text().split('\0')
+        children[words[words.index('dz_ros.nodes.main') + 1]] = int(child)
+    assert set(children) == {'plant_node', 'controller_node', 'trajectory_node', 'recorder_node'}
+    os.kill(children['controller_node'], signal.SIGKILL)
+    assert run.wait() == 1
+    assert 'controller_node failed (killed by SIGKILL)' in run.output
+    assert len(read_run(tmp_path / 'run').channels['command']) > 1
+
+
+@pytest.mark.parametrize(('words', 'message'), [
+    (('--set', 'controller.lamda=2'), 'did you mean controller.lambda'),
+    (('--set', 'controller.lambda=fast'), 'controller.lambda = '),
+    (('--set', 'controller.lambda=-1'), '> 0'),
+    (('--set', 'controller.lambda=.inf'), 'finite'),
+    (('--set', 'plant.model=unicorn'), 'known: wang2004'),
+    (('--set', 'controller.theta_0=[1, 2, 3]'), '2 numbers'),
+    (('--namespace', 'not a name'), '--namespace'),
+    (('no_such_file.yaml',), 'no_such_file.yaml'),
+])
+def test_a_users_mistake_is_one_line_and_exit_code_two(processes, tmp_path, words, message):
+    run = processes(*DZ, 'run', *words, '--record', tmp_path / 'run')
+    assert run.wait() == 2
+    assert run.output.startswith('dz: error: ')
+    assert run.output.count('\n') == 0
+    assert message in run.output
+    assert not (tmp_path / 'run').exists()
+
+
+def test_an_existing_directory_is_not_touched(processes, tmp_path):
+    run = processes(*DZ, 'run', '--record', tmp_path)
+    assert run.wait() == 2
+    assert 'never overwritten' in run.output
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_rclpy_it_says_so_in_one_line(processes, tmp_path):
+    hide = "import sys; sys.modules['rclpy'] = None; "
+    node = processes(sys.executable, '-c', hide + 'from dz_ros.nodes.main import plant_node; '
+                     'sys.exit(plant_node())')
+    assert node.wait() == 2
+    command = processes(sys.executable, '-c', hide + 'from dz_ros.cli.main import main; '
+                        f'sys.exit(main(["run", "--record", {str(tmp_path / "run")!r}]))')
+    assert command.wait() == 2
+    for process in (node, command):
+        assert 'rclpy is not installed here' in process.output
+        assert process.output.count('\n') == 0

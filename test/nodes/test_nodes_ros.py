@@ -1,0 +1,189 @@
+"""The nodes as a ROS user meets them: parameters, names, remapping, messages, signals."""
+
+import json
+from pathlib import Path
+import signal
+import time
+
+import pytest
+
+from dz_ros.core.records import Command, State, Terms
+
+rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
+
+NODE = ('-m', 'dz_ros.nodes.main')
+CONFIG = Path(__file__).parents[2] / 'config' / 'wang2004.yaml'
+ARGUMENTS = ('--ros-args', '--params-file', CONFIG)
+NAMES = ('plant_node', 'controller_node', 'trajectory_node')
+TIME_OUT = 60.0
+
+
+class Listener:
+    """A node of the test's own, of plain typed messages, that keeps what it hears."""
+
+    def __init__(self, namespace=''):
+        self.context = rclpy.Context()
+        self.context.init()
+        self.node = rclpy.create_node('listener', namespace=namespace, context=self.context)
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.heard = {}
+
+    def listen(self, topic, message_type, qos=10):
+        self.heard[topic] = []
+        self.node.create_subscription(message_type, topic, self.heard[topic].append, qos)
+
+    def wait(self, condition):
+        deadline = time.monotonic() + TIME_OUT
+        while not condition():
+            assert time.monotonic() < deadline, 'nothing heard in time'
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def call(self, service, service_type, request):
+        client = self.node.create_client(service_type, service)
+        assert client.wait_for_service(TIME_OUT)
+        future = client.call_async(request)
+        self.wait(future.done)
+        return future.result()
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture
+def listener(ros_domain):
+    made = Listener()
+    yield made
+    made.close()
+
+
+def test_namespaces_remapping_and_labels(processes, listener):
+    from std_msgs.msg import Float64MultiArray, String
+    for topic in ('/left/renamed', '/left/command', '/left/terms'):
+        listener.listen(topic, Float64MultiArray)
+    durable = rclpy.qos.QoSProfile(
+        depth=10, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
+    listener.listen('/left/events', String, durable)
+    nodes = [processes(*NODE, name, *ARGUMENTS, '-r', '__ns:=/left', '-r', 'state:=renamed',
+                       '-p', 'loop.duration:=0.0') for name in NAMES]
+    listener.wait(lambda: all(listener.heard[topic] for topic in listener.heard))
+    labels = {'/left/renamed': State.labels(2), '/left/command': Command.labels(),
+              '/left/terms': Terms.labels(('theta1', 'theta2', 'phi'))}
+    for topic, names in labels.items():
+        message = listener.heard[topic][0]
+        (dimension,) = message.layout.dim
+        assert dimension.label == ','.join(names)
+        assert dimension.size == dimension.stride == len(message.data) == len(names)
+    listener.wait(lambda: {json.loads(event.data)['node'] for event in
+                           listener.heard['/left/events']} >= {f'/left/{name}' for name in NAMES})
+    for node in nodes:
+        node.signal(signal.SIGINT)
+        node.signal(signal.SIGTERM)
+    for node in nodes:
+        assert node.wait() == 0
+        assert 'Traceback' not in node.output
+
+
+def test_parameters_carry_description_unit_and_range(processes, listener):
+    from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+    processes(*NODE, 'controller_node', *ARGUMENTS, '-p', 'controller.k_d:=7')
+    listed = listener.call('/controller_node/list_parameters', ListParameters,
+                           ListParameters.Request()).result.names
+    assert {'loop.rate', 'plant.model', 'controller.law', 'controller.lambda',
+            'controller.theta_0'} <= set(listed)
+    assert not [name for name in listed if name.startswith(('trajectory.', 'plant.dead_zone'))]
+    names = ['controller.lambda', 'loop.delay', 'controller.law', 'controller.theta_0']
+    described = listener.call('/controller_node/describe_parameters', DescribeParameters,
+                              DescribeParameters.Request(names=names)).descriptors
+    by_name = {item.name: item for item in described}
+    assert '[1/s]' in by_name['controller.lambda'].description
+    assert by_name['controller.lambda'].floating_point_range[0].from_value == 0.0
+    assert by_name['controller.lambda'].additional_constraints == '> 0'
+    assert by_name['loop.delay'].integer_range[0].to_value == 100
+    request = GetParameters.Request(names=['controller.k_d', *names])
+    values = listener.call('/controller_node/get_parameters', GetParameters, request).values
+    assert values[0].double_value == 7.0     # given as an integer
+    assert list(values[4].double_array_value) == [0.85, 0.85]
+    changed = SetParameters.Request(parameters=[
+        rclpy.parameter.Parameter('loop.delay', value=3).to_parameter_msg()])
+    (result,) = listener.call('/controller_node/set_parameters', SetParameters, changed).results
+    assert not result.successful
+
+
+@pytest.mark.parametrize(('name', 'given', 'message'), [
+    ('controller_node', 'controller.lambda:=-1.0', 'controller.lambda = -1.0'),
+    ('controller_node', 'controller.lamda:=1.0', 'did you mean controller.lambda'),
+    ('plant_node', 'plant.x0:=[1.0]', 'plant.x0'),
+    ('plant_node', 'plant.model:=none', 'no such plant'),
+    ('trajectory_node', 'trajectory.amplitude:=large', 'a finite number'),
+    ('recorder_node', 'loop.rate:=200.0', 'directory'),
+])
+def test_a_bad_parameter_is_one_line_and_exit_code_two(processes, name, given, message):
+    node = processes(*NODE, name, '--ros-args', '-p', given)
+    assert node.wait() == 2
+    assert node.output.startswith(f'{name}: error: ')
+    assert message in node.output
+    assert node.output.count('\n') == 0
+
+
+def test_a_missing_parameter_file_is_one_line(processes, tmp_path):
+    node = processes(*NODE, 'plant_node', '--ros-args', '--params-file', tmp_path / 'none.yaml')
+    assert node.wait() == 2
+    assert node.output.startswith('plant_node: error: ')
+    assert 'none.yaml' in node.output
+    assert node.output.count('\n') == 0
+
+
+def test_a_plant_that_nobody_commands_stays_where_it_is(processes, listener):
+    from std_msgs.msg import Float64MultiArray
+    listener.listen('/state', Float64MultiArray)
+    plant = processes(*NODE, 'plant_node', '--ros-args', '-p', "loop.peers:=['plant_node']")
+    publisher = listener.node.create_publisher(Float64MultiArray, '/command', 10)
+    listener.wait(lambda: len(listener.heard['/state']) >= 3)
+    for message in listener.heard['/state']:
+        assert list(message.data)[:4] == [0.0, 0.0, -2.5, 3.5]
+    answer = Float64MultiArray(data=[0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
+    answer.layout.dim.append(rclpy_dimension(','.join(Command.labels()), 6))
+    publisher.publish(answer)
+    listener.wait(lambda: listener.heard['/state'][-1].data[0] > 3.0)
+    assert plant.interrupt() == 0
+
+
+def test_messages_of_wrong_shape_are_counted_and_ignored(processes, listener):
+    from std_msgs.msg import Float64MultiArray
+    listener.listen('/state', Float64MultiArray)
+    plant = processes(*NODE, 'plant_node', '--ros-args', '-p', "loop.peers:=['plant_node']")
+    publisher = listener.node.create_publisher(Float64MultiArray, '/command', 10)
+    listener.wait(lambda: listener.heard['/state'])
+    publisher.publish(Float64MultiArray(data=[1.0]))
+    plant.wait_for_line('command: ')
+    before = len(listener.heard['/state'])
+    listener.wait(lambda: len(listener.heard['/state']) > before + 1)
+    assert listener.heard['/state'][-1].data[0] == 0.0
+    assert plant.interrupt() == 0
+    assert 'Traceback' not in plant.output
+
+
+def test_in_lockstep_a_node_that_is_gone_ends_the_run_with_its_name(processes):
+    common = (*ARGUMENTS, '-p', 'loop.timing:=lockstep', '-p', 'loop.duration:=0.0')
+    plant, controller, trajectory = (processes(*NODE, name, *common) for name in NAMES)
+    plant_started = Listener()
+    try:
+        from std_msgs.msg import Float64MultiArray
+        plant_started.listen('/state', Float64MultiArray)
+        plant_started.wait(lambda: plant_started.heard['/state'])
+    finally:
+        plant_started.close()
+    trajectory.signal(signal.SIGKILL)
+    assert controller.wait() == 2
+    assert 'the trajectory is gone' in controller.output
+    assert plant.wait() == 2
+    assert 'the controller is gone' in plant.output
+
+
+def rclpy_dimension(label, size):
+    from std_msgs.msg import MultiArrayDimension
+    return MultiArrayDimension(label=label, size=size, stride=size)
