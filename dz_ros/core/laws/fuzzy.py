@@ -30,11 +30,11 @@ from dz_ros.core.tracking import feed_forward, filtered_error
 class FuzzyGains(SwitchingGains):
     """Gains of (14)–(16) and of the compensator."""
 
-    half_width: float = parameter(0.1, 'actuator unit', 'half-width D of the overlap of the '
-                                  'memberships', minimum=0.0, open_minimum=True)
-    g: float = parameter(20.0, 'actuator unit per unit of s per s', 'adaptation gain g of d̂±',
-                         minimum=0.0)
-    kappa: float = parameter(0.1, '1 per actuator unit', 'leakage κ of d̂±', minimum=0.0)
+    fuzzy_overlap: float = parameter(0.1, 'actuator unit', 'half-width D of the overlap of the '
+                                     'memberships', minimum=0.0, open_minimum=True)
+    fuzzy_gain: float = parameter(20.0, 'actuator unit per unit of s per s',
+                                  'adaptation gain g of d̂±', minimum=0.0)
+    fuzzy_leakage: float = parameter(0.1, '1 per actuator unit', 'leakage κ of d̂±', minimum=0.0)
 
 
 class Fuzzy(Adaptive):
@@ -47,7 +47,8 @@ class Fuzzy(Adaptive):
     @property
     def constants(self) -> tuple[float, ...]:
         """k_d, k, ε, γ, η, Λ, Λ_v, D, g, κ."""
-        return (*super().constants, self.gains.half_width, self.gains.g, self.gains.kappa)
+        g = self.gains
+        return (*super().constants, g.fuzzy_overlap, g.fuzzy_gain, g.fuzzy_leakage)
 
     @property
     def signal_names(self) -> tuple[str, ...]:

@@ -45,10 +45,13 @@ class NeuralGains(SwitchingGains):
     nodes: int = parameter(12, '1', 'sigmoids N of each net', minimum=1, maximum=200,
                            structural=True)
     seed: int = parameter(0, '1', 'seed of slopes and offsets', minimum=0, structural=True)
-    g: float = parameter(10.0, '1', 'adaptation gain G of the compensator', minimum=0.0)
-    s: float = parameter(1.0, '1', 'adaptation gain S of the estimator', minimum=0.0)
-    k1: float = parameter(0.01, '1', 'leakage k1', minimum=0.0)
-    k2: float = parameter(0.01, '1', 'leakage k2', minimum=0.0)
+    neural_gain: float = parameter(10.0, 'actuator unit per unit of s per s',
+                                   'adaptation gain G of the compensator', minimum=0.0)
+    estimator_gain: float = parameter(1.0, '1', 'adaptation gain S of the estimator', minimum=0.0)
+    neural_leakage: float = parameter(0.01, '1 per actuator unit', 'leakage k1 of both nets',
+                                      minimum=0.0)
+    norm_leakage: float = parameter(0.01, '1 per actuator unit squared', 'leakage k2 of the '
+                                    'compensator, times its norm', minimum=0.0)
     v_range: float = parameter(10.0, 'actuator unit', 'the nets span |u| ≤ this: the usual '
                                'range of v', minimum=0.0, open_minimum=True, structural=True)
     b_r_guess: float = parameter(0.35, 'actuator unit', 'b_r of the initial estimator, the '
@@ -106,7 +109,8 @@ class Neural(Adaptive):
     def constants(self) -> tuple[float, ...]:
         """k_d, k, ε, γ, η, Λ, Λ_v, G, S, k1, k2, slopes and offsets of both nets."""
         g = self.gains
-        return (*super().constants, g.g, g.s, g.k1, g.k2, *self._compensator, *self._estimator)
+        return (*super().constants, g.neural_gain, g.estimator_gain, g.neural_leakage,
+                g.norm_leakage, *self._compensator, *self._estimator)
 
     @property
     def signal_names(self) -> tuple[str, ...]:
