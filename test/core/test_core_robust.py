@@ -1,4 +1,4 @@
-"""The recommended law: the reference run, its eight steps against a program of their own, guard."""
+"""The recommended law: reference run, every step against a program of its own, guard."""
 
 from pathlib import Path
 
