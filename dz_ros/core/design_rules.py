@@ -148,12 +148,9 @@ def _chatter(c: Configuration, design: Design) -> Iterator[Finding]:
                 change = 'lower k_d or raise the rate: no ε is large enough'
         own = delay == c.loop.delay
         level = INFO
-        if own and low >= 1.0:
-            level, words = ERROR, f'{words}: chatters for certain'
-        elif high >= 1.0 and (own or delay <= 1):
-            level, words = WARNING, f'{words}: chatters where b m is large'
-        elif high >= 1.0:
-            words += ': would chatter'
+        if high >= 1.0:
+            level = ERROR if own and low >= 1.0 else WARNING if own or delay <= 1 else INFO
+            words += ': chatters' + (' where b m is large' if low < 1.0 else ' for certain')
         yield Finding(level, 'chatter', words, numbers, '' if level == INFO else change)
 
 
