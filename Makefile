@@ -19,7 +19,7 @@ demo:  ## 20 s of the paper's example in real time as four ROS 2 processes, reco
 	$(bin)/dz report $(RUN)
 
 test:  ## all tests
-	$(environment) ros test
+	$(environment) ros test numba
 	$(bin)/python -m pytest $(PYTEST_ARGS)
 
 lint:  ## style
@@ -35,8 +35,9 @@ docs:  ## links, citations and the map of folders in the documents
 	$(bin)/python tools/check_docs.py
 
 bench:  ## every figure the documents quote, measured on this machine
-	$(environment) ros test
-	set -e; for script in benchmarks/*.py; do echo "== $$script"; $(bin)/python $$script; done
+	$(environment) ros test numba
+	set -e; for script in $$(grep -l __main__ benchmarks/*.py); do echo "== $$script"; \
+	  $(bin)/python $$script; done
 
 colcon:  ## build and test as a ROS package, and look at what was installed
 	$(environment) ros test colcon

@@ -40,11 +40,13 @@ setup(
         'pyyaml>=6.0',
         'rosbags>=0.11,<0.12',
         'scipy>=1.11',
+        'zstandard>=0.19',
     ],
     extras_require={
         # ROS 2 Jazzy's client library as wheels, for machines without a ROS installation; without
         # the pins pip takes another distribution's.
         'ros': ['ros-rclpy[fastrtps]==7.1.6', 'ros-common-interfaces==5.3.6'],
+        'numba': ['numba>=0.61'],   # compiles loops off line; the numbers are the same
         'test': ['hypothesis>=6.98', 'pytest>=7.4'],
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [
@@ -66,6 +68,7 @@ setup(
             'controller_node = dz_ros.nodes.main:controller_node',
             'trajectory_node = dz_ros.nodes.main:trajectory_node',
             'recorder_node = dz_ros.nodes.main:recorder_node',
+            'replay_node = dz_ros.nodes.main:replay_node',
         ],
     },
 )

@@ -1,7 +1,7 @@
 """Check the documents: links lead somewhere, citations resolve, the map of folders is true.
 
 - Every relative link and picture in a Markdown file exists, and so does the heading after ``#``.
-- Every citation ``[name1999]`` in code, configuration and documents has one entry in
+- Every citation ``[nameYEAR]`` in code, configuration and documents has one entry in
   docs/references.md, and every entry there is cited.
 - The map of folders in README.md names every folder of the project and of dz_ros, and no other.
 """

@@ -37,7 +37,7 @@ CARRY_LIMIT = 10
 
 @dataclass(frozen=True)
 class Aligned:
-    """A run as one table, rows in ascending seq.
+    """A run as one table, rows in ascending stamp.
 
     Attributes:
         seq: seq of the states, shape (N,).
@@ -99,7 +99,7 @@ def align(run: RunData) -> Aligned:
     """Return a run as one table.
 
     Raises:
-        RecordingError: There are fewer than two states.
+        RecordingError: There are fewer than two states, or they all carry the same stamp.
     """
     run, restarts = longest_stretch(run)
     state = run.channels.get('state')
@@ -112,6 +112,11 @@ def align(run: RunData) -> Aligned:
     dated = np.isfinite(state['stamp'][rows])
     undated = int(np.count_nonzero(~dated))
     seq, rows = seq[dated], rows[dated]
+    in_time = np.argsort(state['stamp'][rows], kind='stable')
+    seq, rows = seq[in_time], rows[in_time]
+    if np.ptp(state['stamp'][rows]) <= 0.0:
+        raise RecordingError("the run's states all carry the same stamp; there is no time to "
+                             'analyse them over')
     columns = state_columns(state.labels)
     order = len(columns)
     t = state['stamp'][rows]

@@ -22,20 +22,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dz_ros.analysis.align import Aligned
+from dz_ros.analysis.measures import (
+    choose_window,
+    high_passed,
+    largest,
+    rms,
+    settled_after,
+    share,
+    variation,
+)
 from dz_ros.analysis.setting import Setting
 from dz_ros.core.tracking import error_weights, guaranteed_bounds
 from dz_ros.errors import ConfigurationError
 
 Array = NDArray[np.float64]
 
-WINDOW = 10.0
-"""Default length of the window at the end of a run [s]."""
 TOLERANCE = 0.05
 """Default |x̃| below which a run counts as settled where x has no unit: the example's."""
 RELATIVE_TOLERANCE = 0.02
 """The same where x has a unit, as a share of the largest |x_d|; the example's is the same."""
-CORNER = 10.0
-"""Corner of the high-pass applied to v [Hz]."""
 FOR_GOOD = 0.1
 """Share of the run that must remain below the tolerance for it to be 'for good'."""
 
@@ -124,61 +129,6 @@ def jsonable(value: Any) -> Any:
     return value
 
 
-def choose_window(t: Array, window: tuple[float, float] | None = None) -> tuple[float, float]:
-    """Return the window of a run: the one given, else its last 10 s or its last half.
-
-    Raises:
-        ConfigurationError: The window given is not one, or holds fewer than two samples.
-    """
-    first, last = float(np.nanmin(t)), float(np.nanmax(t))
-    if window is None:
-        return last - min(WINDOW, 0.5 * (last - first)), last
-    begin, end = window
-    inside = np.count_nonzero((t >= begin - 1e-9) & (t <= end + 1e-9))
-    if not begin < end or inside < 2:
-        raise ConfigurationError('window', list(window),
-                                 'must be two instants with at least two samples between them; '
-                                 f'the run goes from {first:g} to {last:g} s')
-    return float(begin), float(end)
-
-
-def settled_after(t: Array, error: Array, tolerance: float, since: float = -math.inf,
-                  remain: float = 0.0) -> float | None:
-    """Return the first sampled instant from which on |x̃| < tolerance holds to the end.
-
-    Args:
-        t: Time, ascending [s], shape (N,).
-        error: x̃, shape (N,); NaN counts as outside.
-        tolerance: In the unit of x̃.
-        since: Instants before this are not looked at [s].
-        remain: It must hold at least this long before the end [s].
-    """
-    rows = t >= since - 1e-9
-    t, error = t[rows], error[rows]
-    if not len(t):
-        return None
-    outside = np.flatnonzero(~(np.abs(error) < tolerance))
-    begin = int(outside[-1]) + 1 if len(outside) else 0
-    if begin >= len(t) or t[-1] - t[begin] < remain - 1e-9:
-        return None
-    return float(t[begin])
-
-
-def high_passed(v: Array, rate: float, corner: float = CORNER) -> Array | None:
-    """Return v without what is slower than the corner, phase untouched; None where impossible.
-
-    Args:
-        v: Equidistant samples, shape (N,).
-        rate: Samples per second; must exceed twice the corner.
-        corner: Corner of the 4th-order Butterworth high-pass, run forwards and backwards [Hz].
-    """
-    from scipy import signal
-    if rate <= 2.0 * corner or len(v) < 30 or not np.isfinite(v).all():
-        return None
-    sections = signal.butter(4, corner, 'highpass', fs=rate, output='sos')
-    return np.asarray(signal.sosfiltfilt(sections, v))
-
-
 def filtered_error(rows: Aligned, setting: Setting) -> Array:
     """Return s: the law's own where it is published, else Λᵀx̃ (8) with the configured λ."""
     if 's' in rows.terms:
@@ -197,7 +147,7 @@ def layer_width(rows: Aligned, setting: Setting) -> Array:
 
 def default_tolerance(rows: Aligned, setting: Setting) -> float:
     """Return the |x̃| that counts as settled, unit of x."""
-    reach = _largest(rows.x_d[:, 0])
+    reach = largest(rows.x_d[:, 0])
     if setting.unit('x0') in ('', '1') or not reach or not math.isfinite(reach):
         return TOLERANCE
     return RELATIVE_TOLERANCE * reach
@@ -233,39 +183,12 @@ def measure(rows: Aligned, setting: Setting, *, window: tuple[float, float] | No
     with np.errstate(over='ignore', invalid='ignore'):
         return Metrics(
             (begin, end), int(np.count_nonzero(inside)), tolerance,
-            tuple(_largest(error[:, i]) for i in range(error.shape[1])),
-            _largest(error[:, 0]), _rms(error[:, 0]), _largest(ratio), _share(ratio, ratio <= 1.0),
-            _omega_share(error, epsilon[inside], setting), _rms(v), _largest(v),
-            _largest(rows.v), _variation(rows.t[inside], v), _highpass_rms(rows, setting, inside),
+            tuple(largest(error[:, i]) for i in range(error.shape[1])),
+            largest(error[:, 0]), rms(error[:, 0]), largest(ratio), share(ratio, ratio <= 1.0),
+            _omega_share(error, epsilon[inside], setting), rms(v), largest(v),
+            largest(rows.v), variation(rows.t[inside], v), _highpass_rms(rows, setting, inside),
             settled_after(rows.t, rows.error[:, 0], tolerance, remain=remain),
             None if recovered is None or kick is None else recovered - kick)
-
-
-def _largest(values: Array) -> float | None:
-    """Return max|values| of those that are numbers."""
-    known = values[~np.isnan(values)]
-    return float(np.abs(known).max()) if len(known) else None
-
-
-def _rms(values: Array) -> float | None:
-    """Return the root mean square of those that are numbers."""
-    known = values[~np.isnan(values)]
-    return float(np.sqrt(np.mean(known * known))) if len(known) else None
-
-
-def _share(known: Array, condition: NDArray[np.bool_]) -> float | None:
-    """Return how often a condition holds among the samples where `known` is a number."""
-    count = int(np.count_nonzero(~np.isnan(known)))
-    return float(np.count_nonzero(condition[~np.isnan(known)])) / count if count else None
-
-
-def _variation(t: Array, v: Array) -> float | None:
-    """Return Σ|Δv| per second over the samples that have a command."""
-    known = ~np.isnan(v)
-    t, v = t[known], v[known]
-    if len(t) < 2 or t[-1] <= t[0]:
-        return None
-    return float(np.abs(np.diff(v)).sum() / (t[-1] - t[0]))
 
 
 def _omega_share(error: Array, epsilon: Array, setting: Setting) -> float | None:
@@ -275,16 +198,17 @@ def _omega_share(error: Array, epsilon: Array, setting: Setting) -> float | None
     scale = np.asarray(guaranteed_bounds(setting.lambda_, 1.0, error.shape[1]))
     with np.errstate(invalid='ignore'):
         within = np.all(np.abs(error) <= scale * epsilon[:, np.newaxis], axis=1)
-    return _share(error.sum(axis=1) + epsilon, np.asarray(within))
+    return share(error.sum(axis=1) + epsilon, np.asarray(within))
 
 
 def _highpass_rms(rows: Aligned, setting: Setting, inside: NDArray[np.bool_]) -> float | None:
     """Return the RMS of high-passed v in the window, missing commands interpolated over."""
     known = np.isfinite(rows.v)
-    span = int(rows.seq[-1] - rows.seq[0]) + 1
-    if setting.period is None or not known.any() or span > 4 * len(rows.seq):
+    if setting.period is None or not known.any():
         return None
-    every = np.arange(rows.seq[0], rows.seq[-1] + 1)
-    v = np.interp(every, rows.seq[known], rows.v[known])
+    place = np.rint((rows.t - rows.t[0]) / setting.period)
+    if place[-1] > 4 * len(place):
+        return None
+    v = np.interp(np.arange(place[-1] + 1.0), place[known], rows.v[known])
     rest = high_passed(v, 1.0 / setting.period)
-    return None if rest is None else _rms(rest[rows.seq[inside] - rows.seq[0]])
+    return None if rest is None else rms(rest[place[inside].astype(np.int64)])

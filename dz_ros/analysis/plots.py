@@ -179,7 +179,7 @@ def filtered(view: View, name: str = 'filtered_error') -> Picture | None:
     rows = view.rows
     if not np.isfinite(view.s).any():
         return None
-    unit = view.setting.unit('s')
+    unit = view.setting.unit('filtered_error')
     share = view.metrics.layer_share
     with styled():
         figure, found = panels(view)

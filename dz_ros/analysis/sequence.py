@@ -18,6 +18,9 @@ from dz_ros.core.dataset import Channel, RunData
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
+NEAR_START = 10.0
+"""The seq after a 0 may be this large in a run that starts anew: some are lost at the start."""
+
 LARGEST = 2.0 ** 53
 """Integers beyond this are not exact as doubles: such a seq is unreadable."""
 
@@ -97,7 +100,8 @@ def longest_stretch(run: RunData) -> tuple[RunData, int]:
     seq = np.where(readable(state['seq']), state['seq'], -1.0)
     largest = np.maximum.accumulate(seq)
     following = np.append(seq[1:], -1.0)
-    anew = np.flatnonzero((seq[1:-1] == 0.0) & (following[1:-1] < largest[:-2])) + 1
+    anew = np.flatnonzero((seq[1:-1] == 0.0) & (following[1:-1] < largest[:-2])
+                          & (following[1:-1] <= NEAR_START)) + 1
     if not len(anew):
         return run, 0
     edges = [0, *(int(row) for row in anew), len(state)]

@@ -94,9 +94,10 @@ class Setting:
         """Return the unit of a kind of quantity, '' where unknown.
 
         Args:
-            quantity: ``x0``, ``x1``, … for a state, ``s``, ``v``, ``v/s``, or a unit as it is.
+            quantity: ``x0``, ``x1``, … for a state, ``filtered_error``, ``v``, ``v/s``, or a unit
+                as it is.
         """
-        if quantity == 's':
+        if quantity == 'filtered_error':
             quantity = f'x{self.order - 1}'
         if quantity in ('v', 'v/s'):
             rate = quantity == 'v/s' and self.actuator_unit

@@ -30,6 +30,7 @@ class View:
         timing: Its timing.
         s: Filtered error, shape (N,); NaN where unknown.
         epsilon: Half-width ε of the boundary layer in every sample, shape (N,); NaN = none.
+        kicked: True where an instant to recover from was given.
     """
 
     run: RunData
@@ -39,6 +40,7 @@ class View:
     timing: Timing
     s: Array
     epsilon: Array
+    kicked: bool = False
 
     @classmethod
     def of(cls, run: RunData, *, window: tuple[float, float] | None = None,
@@ -54,7 +56,7 @@ class View:
         return cls(run, setting, rows,
                    measure(rows, setting, window=window, kick=kick, tolerance=tolerance),
                    measure_timing(run, setting), filtered_error(rows, setting),
-                   layer_width(rows, setting))
+                   layer_width(rows, setting), kick is not None)
 
     @property
     def has_layer(self) -> bool:

@@ -42,6 +42,8 @@ VERBS = {
     ('list',): Verb('listing', 'list plants, laws, trajectories or configurations'),
     ('bag', 'info'): Verb('bag_info', 'say what a recorded run holds'),
     ('bag', 'recover'): Verb('bag_recover', 'make a readable run of one that was cut off'),
+    ('bag', 'audit'): Verb('bag_audit', 'recompute a run and compare it bit for bit'),
+    ('bag', 'compare'): Verb('bag_compare', 'lay runs side by side: metrics and figures'),
 }
 """Words → verb; two words are a noun and its verb, as ``ros2`` groups its own."""
 

@@ -14,7 +14,6 @@ and three rules:
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
 import math
 
 from dz_ros.core.configuration import Configuration
@@ -104,9 +103,7 @@ class Controller:
         self.error = state.x[0] - reference.x_d[0]
         self._plant.regressors(state.x, self._plant_constants, self._y)
         command, self.memory, terms = self.law.step(self.memory, reference, state, self._y, dt,
-                                                    status)
-        command = replace(command, seq=self._count)
-        terms = replace(terms, seq=self._count)
+                                                    status, self._count)
         self._count += 1
         self._last = (state, command, terms)
         return command, terms

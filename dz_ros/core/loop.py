@@ -82,36 +82,37 @@ def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity
 
     def loop(last: int, period: float, substeps: int, delay: int, limit: float, plant: Numbers,
              zone_numbers: Numbers, motion: Numbers, gains: Numbers, x: Buffer, y: Buffer,
-             x_d: Buffer, memory: Buffer, new_memory: Buffer, terms: Buffer, work: Buffer,
+             x_d: Buffer, memory: Buffer, new_memory: Buffer, terms: Buffer, measured: Buffer,
+             k1: Buffer, k2: Buffer, k3: Buffer, k4: Buffer, stage: Buffer,
              noise: Buffer, out_x: Buffer, out_measured: Buffer, out_x_d: Buffer, out_v: Buffer,
              out_applied: Buffer, out_truth: Buffer, out_terms: Buffer) -> None:
         n = len(x)
+        width = len(terms)
         h = period / substeps
-        measured, k1, k2, k3, k4, stage = work
         for k in range(last + 1):
             t = k * period
             for i in range(n):
-                out_x[k][i] = x[i]
-                measured[i] = x[i] + noise[k][i]
-                out_measured[k][i] = measured[i]
+                out_x[k * n + i] = x[i]
+                measured[i] = x[i] + noise[k * n + i]
+                out_measured[k * n + i] = measured[i]
             evaluate(t, motion, x_d)
             regressors(measured, plant, y)
             v = kernel(gains, memory, x_d, measured, y, period, new_memory, terms)
             for i in range(len(memory)):
                 memory[i] = new_memory[i]
             for i in range(n + 1):
-                out_x_d[k][i] = x_d[i]
-            for i in range(len(terms)):
-                out_terms[k][i] = terms[i]
+                out_x_d[k * (n + 1) + i] = x_d[i]
+            for i in range(width):
+                out_terms[k * width + i] = terms[i]
             out_v[k] = v
             held = out_v[k - delay] if k >= delay else 0.0
             if limit > 0.0:
                 held = min(max(held, -limit), limit)
             w = zone(held, t, zone_numbers)
             out_applied[k] = held
-            out_truth[k][0] = w
-            out_truth[k][1] = rest(held, w, t, zone_numbers)
-            out_truth[k][2] = disturbance(t, x, plant)
+            out_truth[3 * k] = w
+            out_truth[3 * k + 1] = rest(held, w, t, zone_numbers)
+            out_truth[3 * k + 2] = disturbance(t, x, plant)
             if k < last:
                 advance(x, held, t, h, substeps, plant, zone_numbers, y, k1, k2, k3, k4, stage)
 
@@ -129,35 +130,38 @@ def measurement_noise(configuration: Configuration, samples: int) -> Array:
     return np.asarray(generator.standard_normal((samples, order)) * sigma)
 
 
-def simulate(configuration: Configuration) -> Run:
+def simulate(configuration: Configuration, loop: Loop | None = None) -> Run:
     """Return the closed loop of a configuration, from t = 0 to its duration.
+
+    Args:
+        configuration: What to run.
+        loop: A loop compiled for this combination of law, plant and trajectory (see
+            `dz_ros.core.compiled`), which works on arrays; None = plain Python, on lists.
 
     Raises:
         OverflowError, ValueError: The loop diverged beyond what its functions can evaluate. One
             that ends in infinities or NaN without that is returned as it is.
     """
     c = configuration
-    last = c.loop.samples
+    count = c.loop.samples + 1
     n, r = c.plant.order, c.plant.regressor_count
     width = STATUS + 1 + len(c.law.signal_names)
-    memory = list(c.law.initial_memory())
-    noise = measurement_noise(c, last + 1)
-
-    def rows(columns: int) -> list[list[float]]:
-        return [[0.0] * columns for _ in range(last + 1)]
-
-    out_x, out_measured, out_x_d, out_truth, out_terms = (
-        rows(n), rows(n), rows(n + 1), rows(3), rows(width))
-    out_v, out_applied = [0.0] * (last + 1), [0.0] * (last + 1)
-    make_loop(c)(last, c.loop.period, c.plant_settings.substeps, c.loop.delay,
-                 c.plant_settings.command_limit, c.plant.constants, c.dead_zone.constants,
-                 c.trajectory.constants, c.law.constants, list(c.x0), [0.0] * r, [0.0] * (n + 1),
-                 memory, [0.0] * len(memory), [0.0] * width, [[0.0] * n for _ in range(6)],
-                 noise.tolist(), out_x, out_measured, out_x_d, out_v, out_applied, out_truth,
-                 out_terms)
-    arrays = [np.asarray(item, dtype=float) for item in (
-        [k * c.loop.period for k in range(last + 1)], out_x, out_measured, out_x_d, out_v,
-        out_applied, out_truth, out_terms)]
+    memory = c.law.initial_memory()
+    columns = (n, n, n + 1, None, None, 3, width)  # None: one number a sample, no row
+    numbers = (c.plant.constants, c.dead_zone.constants, c.trajectory.constants, c.law.constants,
+               c.x0, np.zeros(r), np.zeros(n + 1), memory, np.zeros(len(memory)),
+               np.zeros(width), *np.zeros((6, n)), measurement_noise(c, count).ravel(),
+               *(np.zeros(count * (item or 1)) for item in columns))
+    arguments: list[Any] = [np.array(item, dtype=float) for item in numbers]
+    if loop is None:
+        loop = make_loop(c)
+        arguments = [item.tolist() for item in arguments]
+    loop(c.loop.samples, c.loop.period, c.plant_settings.substeps, c.loop.delay,
+         c.plant_settings.command_limit, *arguments)
+    arrays: list[Array] = [np.arange(count, dtype=np.float64) * c.loop.period]
+    for item, wide in zip(arguments[-len(columns):], columns, strict=True):
+        array = np.asarray(item, dtype=float)
+        arrays.append(array if wide is None else array.reshape(count, wide))
     for array in arrays:
         array.flags.writeable = False
     return Run(c, *arrays)

@@ -43,7 +43,8 @@ class Registry:
         """Return the class called `name`.
 
         Raises:
-            UnknownNameError: No such name, it cannot be imported, or it is something else.
+            UnknownNameError: No such name, it cannot be imported, it is something else, or it
+                lacks something that every one must define.
         """
         if name in self.builtin:
             return self.builtin[name]
@@ -55,10 +56,15 @@ class Registry:
         module, _, attribute = target.partition(':')
         try:
             found = getattr(importlib.import_module(module), attribute)
-        except (ImportError, AttributeError, ValueError) as error:
-            raise UnknownNameError(self.key, name, f'cannot be loaded: {error}') from error
+        except Exception as error:  # the module is somebody else's code
+            reason = ' '.join(f'{type(error).__name__}: {error}'.split())
+            raise UnknownNameError(self.key, name, f'cannot be loaded: {reason}') from error
         if not (isinstance(found, type) and issubclass(found, self.base)):
             raise UnknownNameError(self.key, name, f'is not a {self.base.__name__}')
+        missing = sorted(item for item in self.base.__annotations__ if not hasattr(found, item))
+        missing += sorted(getattr(found, '__abstractmethods__', ()))
+        if missing:
+            raise UnknownNameError(self.key, name, f'does not define {", ".join(missing)}')
         return found
 
     def all(self) -> dict[str, Any]:

@@ -154,8 +154,10 @@ def check_value(field: Field, value: Any, key: str) -> Any:
 def unknown_key(key: str, value: Any, known: Iterable[str]) -> ConfigurationError:
     """Return the error for a key nobody declares, with the nearest known one."""
     names = sorted(known)
-    near = difflib.get_close_matches(key, names, n=1)
-    hint = f'did you mean {near[0]}?' if near else 'known: ' + ', '.join(names)
+    section = key.rpartition('.')[0] + '.' if '.' in key else ''
+    own = {name.removeprefix(section): name for name in names}  # a common prefix is no likeness
+    near = difflib.get_close_matches(key.removeprefix(section), own, n=1)
+    hint = f'did you mean {own[near[0]]}?' if near else 'known: ' + ', '.join(names)
     return ConfigurationError(key, value, f'unknown key; {hint}')
 
 

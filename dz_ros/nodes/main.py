@@ -14,10 +14,12 @@ from types import FrameType
 from typing import Any
 
 from dz_ros.errors import DzRosError, NO_RCLPY
+from dz_ros.runtime.claim import domain
 from dz_ros.runtime.process import settle
 
 NODES = {'plant_node': 'PlantNode', 'controller_node': 'ControllerNode',
-         'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode'}
+         'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode',
+         'replay_node': 'ReplayNode', 'feed_node': 'FeedNode'}
 """Executable → class in the module of the same name."""
 
 
@@ -29,6 +31,10 @@ def run_node(name: str) -> int:
         from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
         return _complain(name, f'{NO_RCLPY} ({error})')
+    try:
+        domain()
+    except ValueError as error:
+        return _complain(name, str(error))
     # rcl logs what it then raises as well; one line is enough.
     set_logger_level('rcl', LoggingSeverity.FATAL)
     try:
@@ -105,6 +111,11 @@ def trajectory_node() -> int:
 def recorder_node() -> int:
     """Run the recorder."""
     return run_node('recorder_node')
+
+
+def replay_node() -> int:
+    """Run the player of a recorded run."""
+    return run_node('replay_node')
 
 
 if __name__ == '__main__':

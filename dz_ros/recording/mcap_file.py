@@ -2,10 +2,10 @@
 
     magic, Header, {Chunk | Message | Schema | Channel | Metadata}, DataEnd, summary, Footer, magic
 
-A file is *cut* where its writer was stopped: it ends before its DataEnd and its closing magic.
+A file is *cut* where its writer was stopped: it ends before its Footer and its closing magic.
 Everything before the cut is good. It is *damaged* where something else is wrong: a checksum, a
-record that cannot be, an end where the closing magic says there is more. The index at the end is
-not used, so that whole and cut files are read the same way, except to go on behind damage.
+record that cannot be, an end where the closing magic says there is more. The index in the summary
+is not used, so that whole and cut files are read the same way, except to get past damage.
 """
 
 from __future__ import annotations
@@ -21,15 +21,14 @@ import zlib
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 import zstandard
 
 from dz_ros.errors import DamagedRunError, RecordingError
+from dz_ros.recording.mcap_index import HEAD, Index, read_index
 
 MAGIC = b'\x89MCAP0\r\n'
-_HEAD = struct.Struct('<BQ')
 _MESSAGE = struct.Struct('<HIqq')
 _NO_CRC = bytes(4)
 _PRIVATE = 0x80
@@ -44,12 +43,12 @@ _BROKEN = (McapError, zstandard.ZstdError, struct.error, ValueError, KeyError, R
 
 
 class Message(NamedTuple):
-    """One message: topic, log and publish time [ns since the epoch], payload as received."""
+    """One message: topic, payload as received, log and publish time [ns since the epoch]."""
 
     topic: str
+    payload: bytes
     log_time: int
     publish_time: int
-    payload: bytes
 
 
 @dataclass(frozen=True)
@@ -128,31 +127,36 @@ class McapFile:
                                  f'{error.strerror or error}') from None
 
     def _scan(self, file: BinaryIO, size: int, closed: bool) -> Iterator[list[Message]]:
-        """Yield the messages of the records behind the magic, up to DataEnd or the cut."""
+        """Yield the messages of the records behind the magic, up to the footer or the cut."""
         position = len(MAGIC)
         crc: int | None = zlib.crc32(MAGIC)
         loose: list[Message] = []
+        index = read_index(file) if self._skip_damage else Index()
+        for opcode, body in index.definitions:
+            self._define(opcode, ReadDataStream(BytesIO(body)))
+        file.seek(position)
         while True:
-            head = file.read(_HEAD.size)
-            opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, size)
-            end = position + _HEAD.size + length
+            head = file.read(HEAD.size)
+            opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, size)
+            end = position + HEAD.size + length
             if end > size and not closed:
                 self.cut = f'cut off at byte {position}; {size - position} more are incomplete'
                 break
             if end > size or not (0 < opcode <= Opcode.DATA_END or opcode >= _PRIVATE):
                 self._damaged(position, 'a record that cannot be')
-                position = self._behind(file, position)
+                position = next((start for start in index.chunks if start > position), 0)
                 if not position:
                     break
                 file.seek(position)
                 crc = None
                 continue
             body = file.read(length)
-            if opcode == Opcode.DATA_END:
-                if crc is not None and body[:4] not in (_NO_CRC, struct.pack('<I', crc)):
-                    self._damaged(position, 'the checksum of the whole file does not fit')
+            if opcode == Opcode.FOOTER:
+                self._check(position, crc, head + body)
                 break
-            if opcode == Opcode.CHUNK:
+            if opcode == Opcode.DATA_END:
+                self._check(position, crc, body[:4])
+            elif opcode == Opcode.CHUNK:
                 found = self._read(position, self._chunk, body)
                 if found:
                     yield found
@@ -163,11 +167,20 @@ class McapFile:
                     loose = []
             elif opcode in _DEFINITIONS:
                 self._read(position, self._contents, head + body)
-            if crc is not None:
+            if opcode == Opcode.DATA_END:
+                crc = 0                     # that of the summary begins
+            elif crc is not None:
                 crc = zlib.crc32(body, zlib.crc32(head, crc))
             position = end
         if loose:
             yield loose
+
+    def _check(self, position: int, crc: int | None, data: bytes) -> None:
+        """Compare the checksum of what came before, and of this data, with its last 4 bytes."""
+        stored = data[-4:]
+        if crc is not None and stored not in (_NO_CRC, struct.pack('<I', zlib.crc32(data[:-4],
+                                                                                    crc))):
+            self._damaged(position, 'the checksum of everything before does not fit')
 
     def _read(self, position: int, decode: Callable[[bytes], list[Message]],
               data: bytes) -> list[Message]:
@@ -199,46 +212,35 @@ class McapFile:
         channels = self._channels
         position, end = 0, len(data)
         while position < end:
-            opcode, length = _HEAD.unpack_from(data, position)
-            body = position + _HEAD.size
+            opcode, length = HEAD.unpack_from(data, position)
+            body = position + HEAD.size
             position = body + length
             if position > end:
                 raise ValueError('a record longer than what holds it')
             if opcode == Opcode.MESSAGE:
                 channel, _, log_time, publish_time = _MESSAGE.unpack_from(data, body)
-                found.append(Message(channels[channel], log_time, publish_time,
-                                     data[body + _MESSAGE.size:position]))
+                found.append(Message(channels[channel], data[body + _MESSAGE.size:position],
+                                     log_time, publish_time))
             else:
                 self._define(opcode, ReadDataStream(BytesIO(data[body:position])))
         return found
 
     def _define(self, opcode: int, stream: ReadDataStream) -> None:
-        """Take in a schema, channel or metadata record."""
+        """Take in a schema, channel or metadata record; the first definition of an id counts."""
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)
-            self._schemas[schema.id] = schema
+            self._schemas.setdefault(schema.id, schema)
         elif opcode == Opcode.METADATA:
             metadata = Metadata.read(stream)
             self.metadata.append((metadata.name, metadata.metadata))
         elif opcode == Opcode.CHANNEL:
             channel = Channel.read(stream)
             kind = self._schemas.get(channel.schema_id) or Schema(0, b'', '', '')
-            self._channels[channel.id] = channel.topic
-            self.topics[channel.topic] = Topic(
+            self._channels.setdefault(channel.id, channel.topic)
+            self.topics.setdefault(channel.topic, Topic(
                 channel.topic, kind.name, channel.message_encoding, kind.data.decode(),
                 kind.encoding, channel.metadata.get('offered_qos_profiles', ''),
-                channel.metadata.get('topic_type_hash', ''))
-
-    def _behind(self, file: BinaryIO, position: int) -> int:
-        """Return where the index says that the next chunk begins; 0 if it does not say."""
-        try:
-            file.seek(0)
-            summary = make_reader(file, validate_crcs=True).get_summary()
-        except _BROKEN:
-            summary = None
-        indexes = summary.chunk_indexes if summary else []
-        return min((index.chunk_start_offset for index in indexes
-                    if index.chunk_start_offset > position), default=0)
+                channel.metadata.get('topic_type_hash', '')))
 
     def _damaged(self, position: int, reason: str) -> None:
         """Note damage, or raise it.

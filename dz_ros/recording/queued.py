@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from queue import Empty, SimpleQueue
 import threading
-from types import TracebackType
 from typing import Any
 
 from dz_ros.errors import RecordingError
@@ -36,7 +35,7 @@ class QueuedWriter:
         self._idle = idle
         self._queue: SimpleQueue[_Item] = SimpleQueue()
         self._error: RecordingError | None = None
-        self._lost = 0
+        self._taken = self._lost = 0
         self._closed: Summary | None = None
         self._closing = threading.Lock()
         self._thread = threading.Thread(target=self._run, name='run writer', daemon=True)
@@ -54,7 +53,7 @@ class QueuedWriter:
 
     @property
     def lost(self) -> int:
-        """Number of messages that could not be written."""
+        """Number of messages refused so far; a file that breaks loses its open chunk besides."""
         return self._lost
 
     def put(self, topic: str, payload: bytes, log_time_ns: int, publish_time_ns: int) -> None:
@@ -83,20 +82,20 @@ class QueuedWriter:
             if self._closed is None:
                 self._queue.put(None)
                 self._thread.join()
-                self._lost += sum(isinstance(item, tuple) for item in self._left())
+                self._taken += sum(isinstance(item, tuple) for item in self._left())
                 try:
                     found = self._writer.close()
                 except RecordingError as error:
                     self._error = self._error or error
                     found = self._writer.summary()
+                self._lost = self._taken - found.messages
                 self._closed = replace(found, lost=self._lost)
             return self._closed
 
     def __enter__(self) -> QueuedWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *exception: object) -> None:
         self.close()
 
     def _left(self) -> list[_Item]:
@@ -123,6 +122,7 @@ class QueuedWriter:
 
     def _store(self, item: _Message | Callable[[], None]) -> None:
         """Write a message or do something else with the run; keep the first error."""
+        self._taken += isinstance(item, tuple)
         try:
             if isinstance(item, tuple):
                 self._writer.write(*item)

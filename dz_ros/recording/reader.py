@@ -91,8 +91,8 @@ def read_run(path: Path, namespace: str | None = None) -> RunData:
                 if channel == EVENTS:
                     events.setdefault(place, []).extend(_event(item) for item in messages)
                     continue
-                _, log_times, publish_times, payloads = zip(*messages, strict=True)
-                tables.setdefault(name, Table(name)).add(log_times, publish_times, payloads)
+                _, payloads, log_times, publish_times = zip(*messages, strict=True)
+                tables.setdefault(name, Table(name)).add(payloads, log_times, publish_times)
     except MessageError as error:
         raise RecordingError(f'{path}: {error}') from None
     chosen = _choose(source, wanted, {_split(name)[0] for name in tables} or set(events))
@@ -101,8 +101,10 @@ def read_run(path: Path, namespace: str | None = None) -> RunData:
     info = {**configuration_info(configuration), **source.info()}
     if source.cut:
         info['cut'] = source.cut
-    return RunData({_split(name)[1]: table.channel() for name, table in tables.items()
-                    if _split(name)[0] == chosen}, configuration, info, tuple(found))
+    chosen_tables = {_split(name)[1]: table for name, table in tables.items()
+                     if _split(name)[0] == chosen}
+    return RunData({name: chosen_tables[name].channel() for name in CHANNELS
+                    if name in chosen_tables}, configuration, info, tuple(found))
 
 
 def run_info(path: Path) -> RunInfo:

@@ -64,8 +64,7 @@ def recover(source: Path, destination: Path) -> Summary:
                 if message.topic not in known:
                     known.add(message.topic)
                     _register(again.topics[message.topic], writer)
-                writer.write(message.topic, message.payload, message.log_time,
-                             message.publish_time)
+                writer.write(*message)
         return replace(writer.close(), notes=notes)
 
 

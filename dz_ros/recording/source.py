@@ -135,7 +135,7 @@ class RosbagsSource(Source):
                                                     item.ext.serialization_format,
                                                     item.msgdef.data, type_hash=item.digest)
                 for connection, time, payload in reader.messages():
-                    found.append(Message(connection.topic, time, time, bytes(payload)))
+                    found.append(Message(connection.topic, bytes(payload), time, time))
                     if len(found) == _BATCH:
                         yield found
                         found = []
@@ -160,30 +160,41 @@ def open_source(path: Path, skip_damage: bool = False) -> Source:
     """
     path = Path(path)
     try:
-        if not path.exists():
-            raise RunNotFoundError(f'{path}: no such run')
-        if not path.is_dir():
-            return (RosbagsSource if path.suffix == '.db3' else Source)(path, [path], {},
-                                                                        skip_damage)
-        bag = read_metadata(path)
+        there, is_directory = path.exists(), path.is_dir()
         found = sorted(path.glob('*.mcap'), key=_by_number)
         databases = sorted(path.glob('*.db3*'), key=_by_number)
     except OSError as error:
         raise RecordingError(f'{path} cannot be read: {error.strerror or error}') from None
+    if not there:
+        raise RunNotFoundError(f'{path}: no such run')
+    if not is_directory:
+        kind = RosbagsSource if path.suffix == '.db3' else Source
+        return kind(path, [path], {}, skip_damage)
+    bag = read_metadata(path)
     if bag is not None:
-        names = bag.get('relative_file_paths')
-        files = [path / Path(str(name)).name for name in names] if isinstance(names, list) else []
-        for file in files:
-            if not file.is_file():
-                raise RunNotFoundError(f'{file}: {FILE_NAME} names it, but it is not there')
-        if bag.get('storage_identifier') == 'mcap' and not bag.get('compression_format'):
-            return Source(path, files or found, bag, skip_damage)
-        return RosbagsSource(path, files, bag, skip_damage)
+        return _described(path, bag, skip_damage)
     if found:
         return Source(path, found, {}, skip_damage)
     if len(databases) == 1:
         return RosbagsSource(databases[0], databases, {}, skip_damage)
     raise RecordingError(f'{path} is not a run: it holds neither {FILE_NAME} nor an .mcap file')
+
+
+def _described(path: Path, bag: Mapping[str, Any], skip_damage: bool) -> Source:
+    """Return the bag in a directory as its metadata.yaml describes it.
+
+    Raises:
+        RunNotFoundError: A file that it names is missing.
+    """
+    names = bag.get('relative_file_paths')
+    files = [path / Path(str(name)).name for name in names] if isinstance(names, list) else []
+    for file in files:
+        if not file.is_file():
+            raise RunNotFoundError(f'{file}: {FILE_NAME} names it, but it is not there')
+    if bag.get('storage_identifier') == 'mcap' and not bag.get('compression_format'):
+        return Source(path, files or sorted(path.glob('*.mcap'), key=_by_number), bag,
+                      skip_damage)
+    return RosbagsSource(path, files, bag, skip_damage)
 
 
 def _by_number(path: Path) -> tuple[int, str]:

@@ -26,8 +26,8 @@ class Table:
         self._log: list[Times] = []
         self._publish: list[Times] = []
 
-    def add(self, log_times: Sequence[int], publish_times: Sequence[int],
-            payloads: Sequence[bytes]) -> None:
+    def add(self, payloads: Sequence[bytes], log_times: Sequence[int],
+            publish_times: Sequence[int]) -> None:
         """Take in some messages.
 
         Raises:

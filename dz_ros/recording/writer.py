@@ -16,7 +16,6 @@ from dataclasses import asdict, dataclass, replace
 import json
 from pathlib import Path
 import time
-from types import TracebackType
 from typing import Any, BinaryIO
 
 from mcap.exceptions import McapError
@@ -79,6 +78,7 @@ class RunWriter:
         self._closed: Summary | None = None
         self._failure: RecordingError | None = None
         self._file = self._create()
+        self._safe = self._count()
         try:
             self._begin(packed)
         except RecordingError:
@@ -219,6 +219,7 @@ class RunWriter:
         self._usable()
         self._open_bytes = 0
         self._guard(self._mcap.flush)
+        self._safe = self._count()
 
     def flush_if_due(self) -> None:
         """Close the chunk being filled if it is old; for whoever waits without writing.
@@ -230,9 +231,13 @@ class RunWriter:
             self.flush()
 
     def summary(self) -> Summary:
-        """Return what was written so far."""
-        if self._closed is not None:
-            return self._closed
+        """Return what was written so far; of a broken file, what it holds at least."""
+        if self._failure is not None:
+            return self._safe
+        return self._closed or self._count()
+
+    def _count(self) -> Summary:
+        """Return what was given so far."""
         start = self._start_ns
         return Summary(self.directory, {name: topic.counter.summary()
                                         for name, topic in self._topics.items()},
@@ -269,8 +274,7 @@ class RunWriter:
     def __enter__(self) -> RunWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
-                 trace: TracebackType | None) -> None:
+    def __exit__(self, *exception: object) -> None:
         if self._failure is None:
             self.close()
 

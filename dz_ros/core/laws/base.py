@@ -18,6 +18,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 from dz_ros.core.records import Command, Reference, State, STATUS, Status, Terms
@@ -152,9 +153,15 @@ class Law(ABC):
             terms: Buffer for `dz_ros.core.records.TERM_NAMES`, status bits, signals.
         """
 
+    @cached_property
+    def _step_numbers(self) -> tuple[tuple[float, ...], int]:
+        """`constants` and the length of the terms' buffer, worked out once: gains never change."""
+        return self.constants, STATUS + 1 + len(self.signal_names)
+
     def step(self, memory: Sequence[float], reference: Reference, state: State,
              y: Sequence[float], dt: float,
-             status: Status = Status.ADAPTING) -> tuple[Command, tuple[float, ...], Terms]:
+             status: Status = Status.ADAPTING,
+             seq: int | None = None) -> tuple[Command, tuple[float, ...], Terms]:
         """Return command, next memory and terms for one sample, as records.
 
         Args:
@@ -164,12 +171,15 @@ class Law(ABC):
             y: Y(x), shape (r,).
             dt: Accepted interval [s]; 0 freezes adaptation.
             status: Why dt is 0, as far as the caller knows; the law adds its own reasons.
+            seq: seq of the command; None = that of the state.
         """
+        constants, width = self._step_numbers
         new_memory = [0.0] * len(memory)
-        buffer = [0.0] * (STATUS + 1 + len(self.signal_names))
-        v = self.kernel(self.constants, memory, reference.x_d, state.x, y, dt, new_memory, buffer)
-        command = Command(state.seq, state.stamp, v, state.seq, state.stamp)
-        terms = Terms(state.seq, state.stamp, tuple(buffer[:STATUS]), dt,
-                      status | Status(int(buffer[STATUS])), reference.seq, state.seq,
+        buffer = [0.0] * width
+        v = self.kernel(constants, memory, reference.x_d, state.x, y, dt, new_memory, buffer)
+        number = state.seq if seq is None else seq
+        command = Command(number, state.stamp, v, state.seq, state.stamp)
+        terms = Terms(number, state.stamp, tuple(buffer[:STATUS]), dt,
+                      status | int(buffer[STATUS]), reference.seq, state.seq,
                       tuple(buffer[STATUS + 1:]))
         return command, tuple(new_memory), terms

@@ -1,0 +1,113 @@
+"""The configurations that ship, run in real time over DDS: figures and pictures for the documents.
+
+    python benchmarks/examples.py            print the table
+    python benchmarks/examples.py --write    write docs/examples.md, docs/images and README's table
+
+Each run is four processes, recorded and reported as `make demo` does it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+import tempfile
+from typing import Any
+
+from machine import describe
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = {
+    'wang2004': "the paper's example, plant (19) as printed",
+    'zhang_feng1997': 'the same with velocity in the second term',
+    'first_order': 'a first-order plant',
+    'servo': 'a servo with viscous and Coulomb friction',
+    'pendulum': 'an inverted pendulum',
+    'valve_actuator': 'a third-order valve-controlled actuator',
+    'step': "a step shaped by a reference model, on the paper's plant",
+}
+BEGIN, END = '<!-- demo figures: make bench writes this table -->', '<!-- end of demo figures -->'
+
+
+def dz(*words: str) -> str:
+    """Run one `dz` command and return what it prints; stop where it fails."""
+    done = subprocess.run([sys.executable, '-m', 'dz_ros', *words], cwd=ROOT, text=True,
+                          stdout=subprocess.PIPE, check=False)
+    if done.returncode:
+        raise SystemExit(f'dz {" ".join(words)} failed with exit code {done.returncode}')
+    return done.stdout
+
+
+def measure(name: str, folder: Path) -> dict[str, Any]:
+    """Return what `dz report --json` says of a recorded real-time run."""
+    run = folder / name
+    dz('run', name, '--record', str(run), '--quiet')
+    found: dict[str, Any] = json.loads(dz('report', str(run), '--json', '--out',
+                                          str(folder / f'{name}-report')))
+    return found
+
+
+def row(name: str, found: dict[str, Any]) -> str:
+    """Return the table's line of one run."""
+    metrics, topics = found['metrics'], found['timing']['topics']
+    lost = sum(topic['lost'] for topic in topics.values())
+    window = '{:.0f} to {:.0f} s'.format(*metrics['window'])
+    return (f'| `{name}` | {found["order"]} | {window} | {metrics["error_max"]:.4g} | '
+            f'{metrics["error_rms"]:.4g} | {metrics["s_over_epsilon_max"]:.2f} | '
+            f'{metrics["v_variation"]:.3g} | {metrics["v_peak_run"]:.4g} | '
+            f'{100 * topics["state"]["within_1ms"]:.2f} % | {lost} |')
+
+
+HEADER = ('| configuration | n | window | max x̃ | RMS x̃ | max s/ε | TV of v per s | peak v | '
+          'periods within 1 ms | lost |\n|---|---|---|---|---|---|---|---|---|---|')
+
+
+def main() -> int:
+    """Run all examples."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--write', action='store_true', help='write documents and pictures')
+    parser.add_argument('names', nargs='*', default=list(EXAMPLES), help='only these')
+    arguments = parser.parse_args()
+    machine = describe('ros-rclpy', 'numpy', 'mcap')
+    print(machine, HEADER, sep='\n')
+    rows = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name in arguments.names:
+            rows[name] = row(name, measure(name, Path(folder)))
+            print(rows[name], flush=True)
+            if arguments.write:
+                for picture in ('tracking', 'error'):
+                    shutil.copy(Path(folder) / f'{name}-report' / f'{picture}.png',
+                                ROOT / 'docs' / 'images' / f'{name}_{picture}.png')
+    if arguments.write:
+        write(machine, rows)
+    return 0
+
+
+def write(machine: str, rows: dict[str, str]) -> None:
+    """Write docs/examples.md and the table in README.md."""
+    lines = ['# Examples', '', 'Written by `python benchmarks/examples.py --write`: every '
+             'configuration that ships, run in real time as four processes over DDS, recorded and '
+             'reported.', '', f'Measured on {machine}.', '', HEADER, *rows.values(), '',
+             'x̃ in the unit of the output, TV: total variation of v per second, window: '
+             'the part of the run the first five figures are of. The configurations say what each '
+             'plant is, with units and sources: `config/`.', '']
+    for name in rows:
+        lines += [f'## {name}: {EXAMPLES[name]}', '', f'`dz run {name}`', '',
+                  f'![Output and reference of {name} over time](images/{name}_tracking.png)', '',
+                  f'![Tracking error of {name} over time](images/{name}_error.png)', '']
+    (ROOT / 'docs' / 'examples.md').write_text('\n'.join(lines))
+    readme = ROOT / 'README.md'
+    text = readme.read_text()
+    if BEGIN in text and END in text and 'wang2004' in rows:
+        head, _, rest = text.partition(BEGIN)
+        tail = rest.partition(END)[2]
+        readme.write_text(f'{head}{BEGIN}\nMeasured on {machine}:\n\n{HEADER}\n'
+                          f'{rows["wang2004"]}\n{END}{tail}')
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""A plant, a trajectory and a law of one's own for dz_ros."""

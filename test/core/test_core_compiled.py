@@ -1,0 +1,41 @@
+"""The compiled loop gives the bits of the plain one, for every law, plant and trajectory."""
+
+import numpy as np
+import pytest
+
+from dz_ros.core import compiled as module
+from dz_ros.core.compiled import simulate_fast
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.laws import LAWS
+from dz_ros.core.loop import simulate
+from dz_ros.core.plants import PLANTS
+from dz_ros.core.trajectories import TRAJECTORIES
+from dz_ros.errors import ConfigurationError, MissingDependencyError
+
+CASES = [*({'controller.law': name} for name in LAWS.builtin),
+         *({'plant.model': name} for name in PLANTS.builtin),
+         *({'trajectory.kind': name} for name in TRAJECTORIES.builtin if name != 'waypoints'),
+         {'trajectory.kind': 'waypoints', 'trajectory.times': [0.0, 1.0, 2.0],
+          'trajectory.positions': [0.0, 1.0, 0.5]},
+         {'loop.delay': 2, 'plant.noise': [0.001, 0.01], 'plant.command_limit': 8.0,
+          'plant.dead_zone.b_r_drift': [0.2, 0.9]}]
+
+
+@pytest.mark.parametrize('overrides', CASES, ids=lambda case: ' '.join(map(str, case.values())))
+def test_compiled_equals_plain_bit_for_bit(overrides):
+    pytest.importorskip('numba', reason='numba is not installed: nothing is compiled')
+    try:
+        configuration = Configuration.from_flat({'loop.duration': 1.0, **overrides})
+    except ConfigurationError as error:
+        pytest.skip(f'not a combination of defaults: {error}')
+    plain, fast = simulate(configuration), simulate_fast(configuration)
+    for name in ('t', 'x', 'x_measured', 'x_d', 'v', 'v_applied', 'truth', 'terms'):
+        assert np.array_equal(getattr(plain, name), getattr(fast, name), equal_nan=True), name
+
+
+def test_without_numba_the_plain_loop_answers(monkeypatch):
+    monkeypatch.setattr(module, 'available', lambda: False)
+    configuration = Configuration.from_flat({'loop.duration': 0.1})
+    assert np.array_equal(simulate_fast(configuration).v, simulate(configuration).v)
+    with pytest.raises(MissingDependencyError, match=r'dz_ros\[numba\]'):
+        module.compiled(lambda x: x)

@@ -1,0 +1,260 @@
+"""One schema for every value: types, ranges, names, sections that fit, errors in words."""
+
+from dataclasses import dataclass
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from dz_ros.core import schema
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.laws import LAWS
+from dz_ros.core.plants import PLANTS
+from dz_ros.core.schema import parameter
+from dz_ros.core.trajectories import TRAJECTORIES
+from dz_ros.errors import ConfigurationError, DzRosError, UnknownNameError
+
+
+@dataclass(frozen=True)
+class Group:
+    """One of each kind."""
+
+    number: float = parameter(1.0, 'm', 'a length', minimum=0.0, maximum=10.0, open_minimum=True)
+    count: int = parameter(2, '1', 'a count', minimum=0)
+    flag: bool = parameter(False, '', 'a flag')
+    mode: str = parameter('a', '', 'a choice', choices=('a', 'b'))
+    text: str = parameter('', '', 'any text')
+    pair: tuple[float, ...] = parameter((1.0, 2.0), 'm', 'two numbers', length=2)
+    names: tuple[str, ...] = parameter((), '', 'some names')
+    lambda_: float = parameter(1.0, '1/s', 'a keyword of Python')
+
+
+def refused(values):
+    with pytest.raises(ConfigurationError) as caught:
+        schema.build(Group, values, 'plant.')
+    message = str(caught.value)
+    assert '\n' not in message
+    assert message.startswith(f'plant.{next(iter(values))} = ')
+    return message
+
+
+def test_values_are_converted_to_their_kind():
+    made = schema.build(Group, {'number': 3, 'count': 4.0, 'flag': True, 'mode': 'b',
+                                'pair': [1, 2.5], 'names': ['x'], 'lambda': 2})
+    assert made == Group(3.0, 4, True, 'b', '', (1.0, 2.5), ('x',), 2.0)
+    assert [type(item) for item in (made.number, made.count, made.pair[0])] == [float, int, float]
+    assert schema.build(Group, {'pair': np.array([1.0, 2.0])}).pair == (1.0, 2.0)
+    assert schema.build(Group, {}) == Group()
+
+
+def test_written_and_read_again_is_the_same():
+    made = schema.build(Group, {'number': 3.5, 'pair': [3.0, 4.0], 'names': ['x', 'y']})
+    flat = schema.to_dict(made)
+    assert flat['lambda'] == 1.0
+    assert flat['pair'] == [3.0, 4.0]
+    assert schema.build(Group, flat) == made
+
+
+@pytest.mark.parametrize('value', [0.0, -1.0, 10.1, math.nan, math.inf, -math.inf, 'three', True,
+                                   None, [1.0], 10 ** 400])
+def test_refuses_a_number(value):
+    message = refused({'number': value})
+    assert 'must be a finite number > 0 and <= 10 [m]' in message
+
+
+@pytest.mark.parametrize('value', [-1, 1.5, True, '2', math.nan, math.inf, None])
+def test_refuses_a_count(value):
+    assert 'must be an integer >= 0' in refused({'count': value})
+
+
+@pytest.mark.parametrize('value', [1, 0, 'true', None, 1.0])
+def test_refuses_a_flag(value):
+    assert 'must be true or false' in refused({'flag': value})
+
+
+@pytest.mark.parametrize('value', ['c', '', 1, None, ['a']])
+def test_refuses_a_choice(value):
+    assert 'must be one of a, b' in refused({'mode': value})
+
+
+@pytest.mark.parametrize('value', [[1.0], [1.0, 2.0, 3.0], [], [1.0, math.nan], 1.0, 'ab',
+                                   [1.0, 'b'], [1.0, True], {'a': 1.0, 'b': 2.0}, None])
+def test_refuses_a_list(value):
+    assert 'list of' in refused({'pair': value})
+
+
+@pytest.mark.parametrize('value', ['x', [1], 3])
+def test_refuses_a_list_of_texts(value):
+    assert 'must be a list of texts' in refused({'names': value})
+
+
+@given(st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(),
+                 st.lists(st.floats()), st.dictionaries(st.text(), st.integers())),
+       st.sampled_from([item.name for item in schema.fields(Group)]))
+def test_any_nonsense_is_taken_or_refused_in_one_line(value, name):
+    caught = None
+    try:
+        made = schema.build(Group, {name: value})
+    except ConfigurationError as error:
+        caught = error
+    if caught is None:
+        assert schema.build(Group, schema.to_dict(made)) == made
+    else:
+        assert (caught.key, caught.value) == (name, value)
+        assert '\n' not in str(caught)
+
+
+def test_unknown_names_point_to_the_nearest():
+    assert 'did you mean plant.number?' in refused({'numbr': 1.0})
+    assert 'known: ' in refused({'qqqq': 1.0})
+
+
+def test_errors_are_also_those_of_the_standard_library():
+    assert issubclass(ConfigurationError, ValueError)
+    assert issubclass(UnknownNameError, LookupError)
+    assert issubclass(UnknownNameError, ConfigurationError)
+    assert issubclass(ConfigurationError, DzRosError)
+
+
+def test_defaults_are_the_paper_s_example():
+    c = Configuration.from_flat({})
+    assert (c.plant.name, c.law.name, c.trajectory.name) == ('wang2004', 'wang2004', 'sinusoid')
+    assert (c.loop.period, c.loop.samples) == (0.005, 4000)
+    assert c.x0 == (-2.5, 3.5)
+    assert c.noise == (0.0, 0.0)
+    assert c.law.initial_memory() == (0.85, 0.85, 0.85)
+    assert c.dead_zone.constants[1:5] == (1.0, 1.0, 0.5, -0.6)
+
+
+@pytest.mark.parametrize('model', PLANTS.builtin)
+@pytest.mark.parametrize('kind', [name for name in TRAJECTORIES.builtin if name != 'waypoints'])
+@pytest.mark.parametrize('law', ['wang2004', 'pd'])
+def test_flat_and_back_is_the_same_for_every_combination(model, kind, law):
+    c = Configuration.from_flat({'plant.model': model, 'trajectory.kind': kind,
+                                 'controller.law': law})
+    flat = c.to_flat()
+    again = Configuration.from_flat(flat)
+    assert again.to_flat() == flat
+    assert again.set_aside == ()
+    assert (flat['plant.model'], flat['trajectory.kind'], flat['controller.law']) == (
+        model, kind, law)
+    assert again.plant.constants == c.plant.constants
+    assert again.law.constants == c.law.constants
+    assert again.trajectory.constants == c.trajectory.constants
+    assert len(c.x0) == c.plant.order == c.trajectory.order == c.law.order
+
+
+def test_replace_changes_what_it_is_told_and_nothing_else():
+    c = Configuration.from_flat({'controller.lambda': 2.0})
+    changed = c.replace(**{'loop.delay': 1, 'plant.dead_zone.b_r': 0.3})
+    assert changed.loop.delay == 1
+    assert changed.dead_zone.b_r == 0.3
+    same = {key: value for key, value in changed.to_flat().items()
+            if key not in ('loop.delay', 'plant.dead_zone.b_r')}
+    assert same.items() <= c.to_flat().items()
+    assert c.loop.delay == 0
+
+
+def test_keys_of_another_class_are_set_aside_so_that_a_law_is_changed_by_one_word():
+    c = Configuration.from_flat({'controller.law': 'pd', 'controller.k_star': 2.5,
+                                 'plant.mass': 11.0, 'trajectory.bandwidth': 3.0})
+    assert set(c.set_aside) == {'controller.k_star', 'plant.mass', 'trajectory.bandwidth'}
+
+
+@pytest.mark.parametrize(('flat', 'key', 'says'), [
+    ({'controller.lamda': 1.0}, 'controller.lamda', 'did you mean controller.lambda?'),
+    ({'lambda': 1.0}, 'lambda', 'known: '),
+    ({'motor.speed': 1.0}, 'motor.speed', 'known: '),
+    ({'loop': {'rate': 200.0}}, 'loop', 'unknown key'),
+    ({'loop.rat': 200.0}, 'loop.rat', 'did you mean loop.rate?'),
+    ({'plant.dead_zone.m': 1.0}, 'plant.dead_zone.m', 'unknown key'),
+    ({'plant.dead_zone': 1.0}, 'plant.dead_zone', 'unknown key'),
+    ({'loop.rate': 0.0}, 'loop.rate', '>= 1'),
+    ({'loop.delay': -1}, 'loop.delay', '>= 0'),
+    ({'loop.timing': 'soon'}, 'loop.timing', 'one of'),
+    ({'loop.duration': -1.0}, 'loop.duration', '>= 0'),
+    ({'plant.substeps': 0}, 'plant.substeps', '>= 1'),
+    ({'plant.b': 0.0}, 'plant.b', '> 0'),
+    ({'plant.x0': [1.0]}, 'plant.x0', '2 numbers'),
+    ({'plant.model': 'first_order', 'plant.x0': [1.0, 2.0]}, 'plant.x0', '1 number'),
+    ({'plant.noise': [1.0, 1.0, 1.0]}, 'plant.noise', '1 or 2'),
+    ({'plant.noise': []}, 'plant.noise', '1 or 2'),
+    ({'plant.noise': [-1.0]}, 'plant.noise', '>= 0'),
+    ({'plant.command_limit': -1.0}, 'plant.command_limit', '>= 0'),
+    ({'plant.model': 'wang2005'}, 'plant.model', 'known: wang2004'),
+    ({'controller.law': 'lqr'}, 'controller.law', 'no such law'),
+    ({'trajectory.kind': 'circle'}, 'trajectory.kind', 'no such trajectory'),
+    ({'plant.model': 'no_such_module:Plant'}, 'plant.model', 'cannot be loaded'),
+    ({'plant.model': 'math:Plant'}, 'plant.model', 'cannot be loaded'),
+    ({'plant.model': 'math:pi'}, 'plant.model', 'is not a Plant'),
+    ({'plant.model': ':'}, 'plant.model', 'cannot be loaded'),
+    ({'plant.model': 'dz_ros.core.laws.pd:Pd'}, 'plant.model', 'is not a Plant'),
+    ({'controller.theta_0': [1.0, 2.0, 3.0]}, 'controller.theta_0', '1 or 2'),
+    ({'controller.b_r_bounds': [0.6, 0.1]}, 'controller.b_r_bounds', 'lower bound'),
+    ({'controller.m_bounds': [0.0, 1.0]}, 'controller.m_bounds', '> 0'),
+    ({'controller.b_l_bounds': [-0.1, 0.1]}, 'controller.b_l_bounds', '<= 0'),
+    ({'trajectory.kind': 'waypoints'}, 'trajectory.times', 'at least 2'),
+    ({'plant.dead_zone.b_r': -0.5}, 'plant.dead_zone.b_r', '>= 0'),
+])
+def test_refuses_and_says_what_is_allowed(flat, key, says):
+    with pytest.raises(ConfigurationError) as caught:
+        Configuration.from_flat(flat)
+    assert caught.value.key == key
+    assert says in str(caught.value)
+    assert '\n' not in str(caught.value)
+
+
+def test_a_trajectory_that_is_not_smooth_enough_is_refused():
+    plant = type('Fifth', (PLANTS.load('valve_actuator'),), {'order': 5, 'default_x0': (0.0,) * 5})
+    globals()['Fifth'] = plant
+    with pytest.raises(ConfigurationError, match='gives 4 derivatives, the plant needs 5'):
+        Configuration.from_flat({'plant.model': f'{__name__}:Fifth',
+                                 'trajectory.kind': 'point_to_point'})
+
+
+@pytest.mark.parametrize(('source', 'says'), [
+    ('class Mine(', 'SyntaxError'),
+    ('raise RuntimeError("two\\nlines")', 'RuntimeError: two lines'),
+    ('import no_such_module', 'ModuleNotFoundError'),
+    ('Mine = 3', 'is not a Plant'),
+    ('from dz_ros.core.plants.base import Plant\nclass Mine(Plant):\n    order = 1',
+     'does not define Parameters, actuator_unit, default_x0, name, regressor_count'),
+    ('from dz_ros.core.plants.servo import Servo\nfrom dz_ros.core.plants.base import Plant\n'
+     'class Mine(Servo):\n    a = Plant.a', 'does not define a'),
+])
+def test_somebody_s_broken_module_is_one_line(source, says, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    module = f'broken_{abs(hash(source))}'
+    (tmp_path / f'{module}.py').write_text(source, encoding='utf-8')
+    with pytest.raises(UnknownNameError) as caught:
+        PLANTS.load(f'{module}:Mine')
+    assert says in str(caught.value)
+    assert '\n' not in str(caught.value)
+
+
+def test_samples_of_a_duration_that_is_no_multiple_of_the_period():
+    assert Configuration.from_flat({'loop.duration': 0.0124}).loop.samples == 2
+    assert Configuration.from_flat({'loop.duration': 0.0}).loop.samples == 0
+    assert Configuration.from_flat({'loop.rate': 30.0, 'loop.duration': 1.0}).loop.samples == 30
+
+
+@pytest.mark.parametrize('registry', [PLANTS, LAWS, TRAJECTORIES])
+def test_registries_list_what_there_is(registry):
+    found = registry.all()
+    assert registry.builtin.items() <= found.items()
+    for name, item in registry.builtin.items():
+        assert registry.load(name) is item
+        assert item.name == name
+        assert registry.load(f'{item.__module__}:{item.__name__}') is item
+
+
+def test_every_parameter_of_every_class_says_unit_and_meaning():
+    for registry, group in ((PLANTS, 'Parameters'), (LAWS, 'Gains'),
+                            (TRAJECTORIES, 'Parameters')):
+        for item in registry.builtin.values():
+            for found in schema.fields(getattr(item, group)):
+                assert found.spec.description
+                assert found.spec.unit or found.kind in ('bool', 'str', 'strings')
+                schema.check_value(found, found.default, found.name)

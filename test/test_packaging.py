@@ -1,0 +1,255 @@
+"""The package as pip, colcon and rosdep see it; what the documents tell users to type."""
+
+import ast
+import importlib
+from pathlib import Path
+import re
+import runpy
+import shlex
+import sys
+import types
+import xml.etree.ElementTree as ET
+
+import pytest
+import yaml
+
+import dz_ros
+from dz_ros import version as version_module
+from dz_ros.cli import main as cli
+from dz_ros.core import schema
+from dz_ros.core.configuration import Configuration
+from dz_ros.files import flat_parameters
+
+ROOT = Path(dz_ros.__file__).parents[1]
+CONFIGURATIONS = sorted((ROOT / 'config').glob('*.yaml'))
+DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
+
+IMPORTED = {
+    'builtin_interfaces': ('ros-rclpy', 'builtin_interfaces'),
+    'matplotlib': ('matplotlib', 'python3-matplotlib'),
+    'mcap': ('mcap', 'mcap-ros2-support'),
+    'numpy': ('numpy', 'python3-numpy'),
+    'rcl_interfaces': ('ros-rclpy', 'rcl_interfaces'),
+    'rclpy': ('ros-rclpy', 'rclpy'),
+    'rosbags': ('rosbags', 'python3-rosbags-pip'),
+    'rosgraph_msgs': ('ros-rclpy', 'rosgraph_msgs'),
+    'scipy': ('scipy', 'python3-scipy'),
+    'std_msgs': ('ros-common-interfaces', 'std_msgs'),
+    'std_srvs': ('ros-common-interfaces', 'std_srvs'),
+    'yaml': ('pyyaml', 'python3-yaml'),
+    'zstandard': ('zstandard', 'mcap-ros2-support'),
+}
+"""Module → distribution that brings it by pip, key that brings it by rosdep."""
+OPTIONAL = {'numba'}
+"""Modules that an extra of the same name brings; nothing needs them."""
+
+pytestmark = pytest.mark.skipif(not (ROOT / 'package.xml').is_file(),
+                                reason='needs the source tree')
+
+
+@pytest.fixture(scope='module')
+def manifest():
+    return ET.parse(ROOT / 'package.xml').getroot()
+
+
+@pytest.fixture(scope='module')
+def described():
+    """Return what setup.py says, without setuptools doing anything."""
+    said = {}
+    stub = types.ModuleType('setuptools')
+    stub.setup = lambda **settings: said.update(settings)
+    stub.find_packages = lambda include: include
+    patch = pytest.MonkeyPatch()
+    with patch.context() as context:
+        context.setitem(sys.modules, 'setuptools', stub)
+        context.chdir(ROOT)
+        runpy.run_path(str(ROOT / 'setup.py'))
+    return said
+
+
+def test_version_and_description_have_one_source(manifest, described):
+    number = manifest.findtext('version')
+    assert re.fullmatch(r'\d+\.\d+\.\d+', number)
+    assert version_module.version() == number
+    assert described['version'] == number
+    assert described['description'] == manifest.findtext('description')
+    assert described['license'] == manifest.findtext('license') == 'Apache-2.0'
+    citation = yaml.safe_load((ROOT / 'CITATION.cff').read_text(encoding='utf-8'))
+    assert citation['version'] == number
+    assert citation['license'] == 'Apache-2.0'
+    assert citation['abstract'] == manifest.findtext('description')
+    assert 'Apache License' in (ROOT / 'LICENSE').read_text(encoding='utf-8')
+    for path in (ROOT / 'setup.py', ROOT / 'setup.cfg', ROOT / 'pyproject.toml'):
+        assert f"'{number}'" not in path.read_text(encoding='utf-8')
+
+
+def test_version_of_an_installed_copy(monkeypatch, tmp_path):
+    monkeypatch.setattr(version_module, '__file__', str(tmp_path / 'dz_ros' / 'version.py'))
+    monkeypatch.setattr('importlib.metadata.version', lambda name: {'dz_ros': '9.8.7'}[name])
+    assert version_module.version() == '9.8.7'
+    (tmp_path / 'package.xml').write_text('<package><name>other</name><version>1</version>'
+                                          '</package>')
+    assert version_module.version() == '9.8.7'
+
+
+def test_version_of_a_copy_nobody_installed(monkeypatch, tmp_path):
+    monkeypatch.setattr(version_module, '__file__', str(tmp_path / 'dz_ros' / 'version.py'))
+    monkeypatch.setattr(version_module, 'NAME', 'dz_ros_that_nobody_installed')
+    assert version_module.version() == 'unknown'
+
+
+def test_manifest_is_one_that_ros_recognises(manifest):
+    assert manifest.get('format') == '3'
+    assert manifest.findtext('name') == 'dz_ros'
+    assert manifest.findtext('export/build_type') == 'ament_python'
+    email = manifest.find('maintainer').get('email')
+    # catkin_pkg's own rule; a manifest that breaks it degrades to a plain Python package
+    assert re.match(r'^[-a-zA-Z0-9_%+]+(\.[-a-zA-Z0-9_%+]+)*'
+                    r'@[-a-zA-Z0-9%]+(\.[-a-zA-Z0-9%]+)*\.[a-zA-Z]{2,}$', email)
+    assert (ROOT / 'resource' / 'dz_ros').is_file()
+    order = [item.tag for item in manifest]
+    assert order[:6] == ['name', 'version', 'description', 'maintainer', 'license', 'author']
+
+
+def test_what_the_code_imports_is_declared_for_pip_and_for_rosdep(manifest, described):
+    used = set()
+    for path in (ROOT / 'dz_ros').rglob('*.py'):
+        for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+            if isinstance(node, ast.Import):
+                used |= {item.name.split('.')[0] for item in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                used.add(node.module.split('.')[0])
+    used -= set(sys.stdlib_module_names) | {'dz_ros'}
+    for module in OPTIONAL & used:
+        assert module in described['extras_require']
+    used -= OPTIONAL
+    assert used <= set(IMPORTED)
+    keys = {item.text for item in manifest.findall('exec_depend')}
+    by_pip = {re.split(r'[\[<>=]', text)[0]
+              for text in described['install_requires'] + described['extras_require']['ros']}
+    for module in used:
+        distribution, key = IMPORTED[module]
+        assert distribution in by_pip, module
+        assert key in keys, module
+    launch_files = ' '.join(path.read_text(encoding='utf-8')
+                            for path in (ROOT / 'launch').glob('*.py'))
+    for module in ('launch', 'launch_ros', 'ament_index_python'):
+        if f'{module}.' in launch_files or f'from {module} ' in launch_files:
+            assert module in keys
+
+
+def test_wheels_of_ros_are_pinned(described):
+    assert all('==' in text for text in described['extras_require']['ros'])
+
+
+def test_entry_points_lead_to_functions(described):
+    scripts = dict(text.split(' = ') for text in described['entry_points']['console_scripts'])
+    assert set(scripts) == {'dz', 'plant_node', 'controller_node', 'trajectory_node',
+                            'recorder_node', 'replay_node'}
+    for target in scripts.values():
+        module, _, function = target.partition(':')
+        assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_everything_that_belongs_to_an_installation_is_in_it(described):
+    installed = {name for _, names in described['data_files'] for name in names}
+    assert 'package.xml' in installed
+    assert 'resource/dz_ros' in installed
+    for folder in ('config', 'launch'):
+        for path in (ROOT / folder).iterdir():
+            if path.is_file():
+                assert f'{folder}/{path.name}' in installed
+    for path in (ROOT / 'dz_ros').rglob('*.py'):
+        assert (path.parent / '__init__.py').is_file(), f'{path.parent} would not be installed'
+    assert described['packages'] == ['dz_ros', 'dz_ros.*']
+
+
+@pytest.mark.parametrize('path', CONFIGURATIONS, ids=lambda path: path.stem)
+def test_every_configuration_is_accepted_as_it_is_by_dz_and_by_ros(path):
+    flat = flat_parameters(path)
+    configuration = Configuration.from_flat(flat)
+    assert configuration.set_aside == ()
+    found = configuration.to_flat()
+    for key, value in flat.items():
+        assert found[key] == value, key
+        # rcl keeps 2 and 2.0 apart: what is declared as a float must be written as one
+        assert type(value) is type(found[key]), f'{key}: {value}'
+        if isinstance(value, list):
+            assert [type(item) for item in value] == [type(item) for item in found[key]], key
+    assert path.read_text(encoding='utf-8').startswith('# ')
+
+
+def leaves(text):
+    """Return (key, line) of every line of a YAML file that holds a value."""
+    return [(match[1], line) for line in text.splitlines()
+            if (match := re.match(r'\s+(\w+): +[^#\s]', line))]
+
+
+@pytest.mark.parametrize('path', CONFIGURATIONS, ids=lambda path: path.stem)
+def test_every_value_says_what_it_is(path):
+    lines = leaves(path.read_text(encoding='utf-8'))
+    assert len(lines) > 10
+    names = {'model', 'law', 'kind'}
+    silent = [line for key, line in lines
+              if '#' not in line and key not in names and not key.endswith('_drift')]
+    assert silent == []
+
+
+def test_the_paper_s_configuration_leaves_nothing_to_defaults():
+    flat = flat_parameters(ROOT / 'config' / 'wang2004.yaml')
+    configuration = Configuration.from_flat(flat)
+    groups = {'plant': configuration.plant.parameters, 'controller': configuration.law.gains,
+              'trajectory': configuration.trajectory.parameters,
+              'plant.dead_zone': configuration.dead_zone}
+    for prefix, group in groups.items():
+        for item in schema.fields(type(group)):
+            assert f'{prefix}.{item.name}' in flat
+
+
+def commands():
+    """Yield (document, words) of every command in a code block of the documents."""
+    for path in DOCUMENTS:
+        text = path.read_text(encoding='utf-8')
+        for block in re.findall(r'^```sh\n(.*?)^```', text, re.MULTILINE | re.DOTALL):
+            for line in re.sub(r'\\\n', ' ', block).splitlines():
+                for part in line.split('&&'):
+                    words = shlex.split(part, comments=True)
+                    if words:
+                        yield path.name, words
+
+
+def test_commands_in_documents_exist(described):
+    targets = set(re.findall(r'^([a-z]+):', (ROOT / 'Makefile').read_text(encoding='utf-8'),
+                             re.MULTILINE))
+    scripts = {text.split(' = ')[0] for text in described['entry_points']['console_scripts']}
+    seen = set()
+    for document, words in commands():
+        place = f'{document}: {" ".join(words)}'
+        seen.add(words[0])
+        if words[0] == 'make':
+            assert {word for word in words[1:] if '=' not in word} <= targets, place
+        elif words[0] == 'dz':
+            check_dz(words[1:], place)
+        elif words[:3] == ['ros2', 'run', 'dz_ros']:
+            assert words[3] in scripts, place
+            if words[3] == 'dz':
+                check_dz(words[4:], place)
+            for word in words:
+                if word.startswith('src/dz_ros/'):
+                    assert (ROOT / word.removeprefix('src/dz_ros/')).is_file(), place
+        elif words[:3] == ['ros2', 'launch', 'dz_ros']:
+            launch = (ROOT / 'launch' / words[3]).read_text(encoding='utf-8')
+            for word in words[4:]:
+                name = word.partition(':=')[0]
+                assert f"DeclareLaunchArgument('{name}'" in launch, place
+        elif '/' in words[0]:
+            assert (ROOT / words[0]).is_file(), place
+    assert {'make', 'dz', 'ros2'} <= seen
+
+
+def check_dz(words, place):
+    """Parse a command line of `dz` without running it, and read its configuration."""
+    arguments = cli._parser(words).parse_args(words)
+    if hasattr(arguments, 'config'):
+        Configuration.from_flat(flat_parameters(arguments.config, arguments.overrides))
+    assert callable(arguments.do), place
