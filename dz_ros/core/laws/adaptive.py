@@ -1,4 +1,4 @@
-"""The adaptive law without a robust term, any order n [slotineli1991, ch. 8].
+"""The adaptive law without a robust term, any order n [slotine_li1991] (chapter 8).
 
     v = −k_d s + φ̂ u_fd + Yᵀθ̂,   θ̂_i' = −γ Y_i s_ε,   φ̂' = −η u_fd s_ε
 

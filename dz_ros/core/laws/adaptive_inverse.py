@@ -1,4 +1,4 @@
-"""Adaptive dead-zone inverse, after Tao and Kokotović [taokokotovic1994, taokokotovic1995].
+"""Adaptive dead-zone inverse, after Tao and Kokotović [tao_kokotovic1994; tao_kokotovic1995].
 
     u_l = u_fd + Yᵀâ − k_d s − k sat(s/ε),     S_a = s − ε_a sat(s/ε_a)
     χ_r = 1/(1 + e^(−2u_l/e0)),  χ_l = 1 − χ_r

@@ -1,4 +1,4 @@
-"""The dead-zone inverted with its true break points: a bound, not a candidate [taokokotovic1994].
+"""The dead-zone inverted with its true break points: a bound, not a candidate [tao_kokotovic1994].
 
     v_d = −k_d s + φ̂ u_fd + Yᵀθ̂ − k sat(s/ε)                               (14)
     v   = v_d + b_r (v_d > 0),   v_d + b_l (v_d < 0),   0 (v_d = 0)

@@ -8,9 +8,9 @@
     dead-zone feed-forward  v += b̂_r χ_r + b̂_l χ_l,  χ_r = 1/(1 + e^(−2v/e0)),  χ_l = 1 − χ_r
 
 Projection onto a convex set that contains the true parameters, and the normalised gradient, keep
-the Lyapunov argument [ioannou1996]. An integral of bounded authority acts as more d/m: the
+the Lyapunov argument [ioannou_sun1996]. An integral of bounded authority acts as more d/m: the
 theorem stays if k* ≥ ρ/m_min + ρ_I. The feed-forward is the smooth dead-zone inverse with fixed
-break points [taokokotovic1994]; its error acts as d/m too.
+break points [tao_kokotovic1994]; its error acts as d/m too.
 
 Scalar functions without side effect but the buffer they fill; `at` is where, in a longer sequence,
 their numbers begin.

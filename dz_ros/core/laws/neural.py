@@ -1,4 +1,4 @@
-"""Neural dead-zone compensation, after Selmic and Lewis [selmiclewis2000].
+"""Neural dead-zone compensation, after Selmic and Lewis [selmic_lewis2000].
 
     r = −s,   w = (14) with k,   θ̂, φ̂ by (15), (16)
     u = w + Ŵ_iᵀσ_i(w) = v                      compensator; σ_i: N sigmoids and jump functions

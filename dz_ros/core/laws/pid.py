@@ -1,4 +1,4 @@
-"""PID control, the second baseline [astromhagglund1995], for any order n (ours for n ≠ 2).
+"""PID control, the second baseline [astrom_hagglund1995], for any order n (ours for n ≠ 2).
 
     v  = −k_d (λⁿ I + n λ^(n−1) x̃ + … + n λ x̃^(n−2) + x̃^(n−1)),   the weights of (p + λ)ⁿ
     I' = x̃

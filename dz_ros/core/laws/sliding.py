@@ -1,4 +1,4 @@
-"""Adaptive sliding control, made without the dead-zone in mind [slotinecoetsee1986], any order n.
+"""Adaptive sliding control, made without the dead-zone in mind [slotine_coetsee1986], any order n.
 
     v = −k_d s + φ̂ u_fd + Yᵀθ̂ − k sat(s/ε),   θ̂_i' = −γ Y_i s_ε,   φ̂' = −η u_fd s_ε
 
