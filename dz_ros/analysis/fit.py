@@ -6,8 +6,8 @@ by least squares (scipy, trust region) so that the predicted states are near the
 
     min Σ_g Σ_k |W (x_g,k − x̂_g,k(p, x̂_g,0))|²,      p = (a_1 … a_r, b m, b_r, b_l)
 
-W weights each state by the size of its residual. The dead-zone has one slope m. **b and m show only
-as their product**: b is kept as configured and m = (b m)/b. The model's other constants, its
+W weights each state by the size of its residual. The dead-zone has one slope m. **b and m show
+only as their product**: b is kept as configured and m = (b m)/b. The model's other constants, its
 disturbance among them, are kept as configured.
 
 Confidence: the residuals of one segment may depend on each other (a disturbance nobody modelled),
@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dz_ros.analysis.fit_data import Segment, segments
-from dz_ros.analysis.fit_start import first_guess
+from dz_ros.analysis.fit_start import configured_parameters, first_guess
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
 from dz_ros.core.integration import make_advance
@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 STEPS = 2
 """RK4 steps in a sample interval."""
 BLIND = 1e-7
-"""A parameter that moves the prediction less than this times the most effective one is not seen."""
+"""A parameter that moves the prediction by less than this share of the strongest is not seen."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,8 @@ class _Prediction:
                 path.append(tuple(x))
         except (OverflowError, ValueError):
             path += [(1e9,) * self.order] * (len(segment.pieces) + 1 - len(path))
-        return np.clip(np.nan_to_num(np.array(path), nan=1e9), -1e9, 1e9)
+        found: Array = np.clip(np.nan_to_num(np.array(path), nan=1e9), -1e9, 1e9)
+        return found
 
     def residual(self, p: Sequence[float], starts: Array, weight: Array) -> list[Array]:
         """Return weighted measured minus predicted states of each segment, flat."""
@@ -212,6 +213,7 @@ def fit_plant(run: RunData, configuration: Configuration) -> Fit:
         rms = np.sqrt(np.mean(rest * rest, axis=0))
         weight = 1.0 / np.maximum(rms, 1e-9 * scale)
     half = _half_widths(predict, p, starts, weight)
+    p = np.where(np.isfinite(half), p, configured_parameters(c))
     names = (*(f'a{i + 1}' for i in range(len(p) - 3)), 'b·m', 'b_r', 'b_l')
     return Fit(c.plant.name, tuple(Estimate(name, float(value), float(width)) for
                                    name, value, width in zip(names, p, half, strict=True)),
@@ -260,7 +262,7 @@ def _half_widths(predict: _Prediction, p: Array, starts: Array, weight: Array) -
     for columns, begun in zip(by_p, by_start, strict=True):
         basis, _ = np.linalg.qr(begun)
         own.append(columns - basis @ (basis.T @ columns))
-    norm = np.sqrt(sum(np.sum(item * item, axis=0) for item in own))
+    norm = np.maximum(np.abs(p), 0.1) * np.sqrt(sum(np.sum(item * item, axis=0) for item in own))
     half = np.full(len(p), np.inf)
     seen = np.flatnonzero(norm > BLIND * norm.max())
     stacked = sum(item[:, seen].T @ item[:, seen] for item in own)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +92,7 @@ def segments(run: RunData, c: Configuration) -> list[Segment]:
     length = int(min(SEGMENT / c.loop.period, max(len(rows) // SEGMENTS[0], SHORTEST)))
     found: list[tuple[int, int]] = []
     edges = [-1, *np.flatnonzero(~joined).tolist(), len(rows) - 1]
-    for before, last in zip(edges[:-1], edges[1:], strict=True):
+    for before, last in pairwise(edges):
         begins = range(before + 1, last - min(length, SHORTEST) + 1, length)
         found += [(begin, min(begin + length, last)) for begin in begins]
     if not found:
