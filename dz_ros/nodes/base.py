@@ -22,6 +22,8 @@ from dz_ros.version import version
 
 SPIN_LIMIT = 0.05
 """Longest wait for anything [s]; a signal is noticed within it."""
+DELIVERY = 4.0
+"""Longest wait for listeners to have what was published [s]; DDS repairs losses every 3."""
 PATIENCE = 5.0
 """A node that waits for its peers says so after each of these [s]."""
 
@@ -177,12 +179,19 @@ class LoopNode(Node):
 
     def close(self) -> None:
         """Let what was published reach its listeners, then release everything."""
-        for publisher, _ in self._records.values():
-            publisher.wait_for_all_acked(Duration(seconds=1.0))
+        deliver(self._events, *(publisher for publisher, _ in self._records.values()))
         self._executor.remove_node(self)
         self.destroy_node()
         for held in self._claims:
             held.close()
+
+
+def deliver(*publishers: Publisher) -> None:
+    """Wait until listeners have everything that was published, but not for ever."""
+    give_up = time.monotonic() + DELIVERY
+    for publisher in publishers:
+        left = max(give_up - time.monotonic(), 0.0)
+        publisher.wait_for_all_acked(Duration(seconds=left))
 
 
 def _executor() -> Any:

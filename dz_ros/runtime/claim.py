@@ -12,7 +12,6 @@ import os
 import socket
 import struct
 
-
 MAX_DOMAIN = 232
 """The largest domain whose UDP ports exist."""
 
