@@ -93,7 +93,8 @@ def segments(run: RunData, c: Configuration) -> list[Segment]:
     found: list[tuple[int, int]] = []
     edges = [-1, *np.flatnonzero(~joined).tolist(), len(rows) - 1]
     for before, last in pairwise(edges):
-        begins = range(before + 1, last - min(length, SHORTEST) + 1, length)
+        # No state belongs to two segments: its noise would tie them together.
+        begins = range(before + 1, last - min(length, SHORTEST) + 1, length + 1)
         found += [(begin, min(begin + length, last)) for begin in begins]
     if not found:
         raise RecordingError(f'a plant cannot be fitted: the log has no {SHORTEST} states in a '
