@@ -68,6 +68,7 @@ setup(
             'controller_node = dz_ros.nodes.main:controller_node',
             'trajectory_node = dz_ros.nodes.main:trajectory_node',
             'recorder_node = dz_ros.nodes.main:recorder_node',
+            'replay_node = dz_ros.nodes.main:replay_node',
         ],
     },
 )

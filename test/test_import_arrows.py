@@ -89,7 +89,7 @@ def violations(source, part, package):
             found.append(f'line {line}: core knows no {top}')
         elif part in ('runtime', 'errors', 'version') and top not in sys.stdlib_module_names:
             found.append(f'line {line}: {part} is standard library only, not {top}')
-        elif part == 'core' and top not in sys.stdlib_module_names | {'numpy'}:
+        elif part == 'core' and top not in sys.stdlib_module_names | {'numpy', 'numba'}:
             found.append(f'line {line}: core needs numpy and nothing else, not {top}')
     return found
 

@@ -25,6 +25,7 @@ CONFIGURATIONS = sorted((ROOT / 'config').glob('*.yaml'))
 DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
 
 IMPORTED = {
+    'builtin_interfaces': ('ros-rclpy', 'builtin_interfaces'),
     'matplotlib': ('matplotlib', 'python3-matplotlib'),
     'mcap': ('mcap', 'mcap-ros2-support'),
     'numpy': ('numpy', 'python3-numpy'),
@@ -144,7 +145,7 @@ def test_wheels_of_ros_are_pinned(described):
 def test_entry_points_lead_to_functions(described):
     scripts = dict(text.split(' = ') for text in described['entry_points']['console_scripts'])
     assert set(scripts) == {'dz', 'plant_node', 'controller_node', 'trajectory_node',
-                            'recorder_node'}
+                            'recorder_node', 'replay_node'}
     for target in scripts.values():
         module, _, function = target.partition(':')
         assert callable(getattr(importlib.import_module(module), function))

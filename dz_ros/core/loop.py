@@ -147,21 +147,21 @@ def simulate(configuration: Configuration, loop: Loop | None = None) -> Run:
     n, r = c.plant.order, c.plant.regressor_count
     width = STATUS + 1 + len(c.law.signal_names)
     memory = c.law.initial_memory()
-    columns = (n, n, n + 1, 1, 1, 3, width)
+    columns = (n, n, n + 1, None, None, 3, width)  # None: one number a sample, no row
     numbers = (c.plant.constants, c.dead_zone.constants, c.trajectory.constants, c.law.constants,
                c.x0, np.zeros(r), np.zeros(n + 1), memory, np.zeros(len(memory)),
                np.zeros(width), *np.zeros((6, n)), measurement_noise(c, count).ravel(),
-               *(np.zeros(count * item) for item in columns))
+               *(np.zeros(count * (item or 1)) for item in columns))
     arguments: list[Any] = [np.array(item, dtype=float) for item in numbers]
     if loop is None:
         loop = make_loop(c)
         arguments = [item.tolist() for item in arguments]
     loop(c.loop.samples, c.loop.period, c.plant_settings.substeps, c.loop.delay,
          c.plant_settings.command_limit, *arguments)
-    arrays: list[Array] = [np.arange(count) * c.loop.period]
+    arrays: list[Array] = [np.arange(count, dtype=np.float64) * c.loop.period]
     for item, wide in zip(arguments[-len(columns):], columns, strict=True):
         array = np.asarray(item, dtype=float)
-        arrays.append(array if wide == 1 else array.reshape(count, wide))
+        arrays.append(array if wide is None else array.reshape(count, wide))
     for array in arrays:
         array.flags.writeable = False
     return Run(c, *arrays)

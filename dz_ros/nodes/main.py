@@ -17,7 +17,8 @@ from dz_ros.errors import DzRosError, NO_RCLPY
 from dz_ros.runtime.process import settle
 
 NODES = {'plant_node': 'PlantNode', 'controller_node': 'ControllerNode',
-         'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode'}
+         'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode',
+         'replay_node': 'ReplayNode'}
 """Executable → class in the module of the same name."""
 
 
@@ -105,6 +106,11 @@ def trajectory_node() -> int:
 def recorder_node() -> int:
     """Run the recorder."""
     return run_node('recorder_node')
+
+
+def replay_node() -> int:
+    """Run the player of a recorded run."""
+    return run_node('replay_node')
 
 
 if __name__ == '__main__':

@@ -5,7 +5,7 @@
 A file is *cut* where its writer was stopped: it ends before its Footer and its closing magic.
 Everything before the cut is good. It is *damaged* where something else is wrong: a checksum, a
 record that cannot be, an end where the closing magic says there is more. The index in the summary
-is not used, so that whole and cut files are read the same way, except to go on behind damage.
+is not used, so that whole and cut files are read the same way, except to get past damage.
 """
 
 from __future__ import annotations
@@ -21,15 +21,14 @@ import zlib
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import get_chunk_data_stream
 import zstandard
 
 from dz_ros.errors import DamagedRunError, RecordingError
+from dz_ros.recording.mcap_index import HEAD, Index, read_index
 
 MAGIC = b'\x89MCAP0\r\n'
-_HEAD = struct.Struct('<BQ')
 _MESSAGE = struct.Struct('<HIqq')
 _NO_CRC = bytes(4)
 _PRIVATE = 0x80
@@ -132,16 +131,20 @@ class McapFile:
         position = len(MAGIC)
         crc: int | None = zlib.crc32(MAGIC)
         loose: list[Message] = []
+        index = read_index(file) if self._skip_damage else Index()
+        for opcode, body in index.definitions:
+            self._define(opcode, ReadDataStream(BytesIO(body)))
+        file.seek(position)
         while True:
-            head = file.read(_HEAD.size)
-            opcode, length = _HEAD.unpack(head) if len(head) == _HEAD.size else (0, size)
-            end = position + _HEAD.size + length
+            head = file.read(HEAD.size)
+            opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, size)
+            end = position + HEAD.size + length
             if end > size and not closed:
                 self.cut = f'cut off at byte {position}; {size - position} more are incomplete'
                 break
             if end > size or not (0 < opcode <= Opcode.DATA_END or opcode >= _PRIVATE):
                 self._damaged(position, 'a record that cannot be')
-                position = self._behind(file, position)
+                position = next((start for start in index.chunks if start > position), 0)
                 if not position:
                     break
                 file.seek(position)
@@ -209,8 +212,8 @@ class McapFile:
         channels = self._channels
         position, end = 0, len(data)
         while position < end:
-            opcode, length = _HEAD.unpack_from(data, position)
-            body = position + _HEAD.size
+            opcode, length = HEAD.unpack_from(data, position)
+            body = position + HEAD.size
             position = body + length
             if position > end:
                 raise ValueError('a record longer than what holds it')
@@ -238,17 +241,6 @@ class McapFile:
                 channel.topic, kind.name, channel.message_encoding, kind.data.decode(),
                 kind.encoding, channel.metadata.get('offered_qos_profiles', ''),
                 channel.metadata.get('topic_type_hash', '')))
-
-    def _behind(self, file: BinaryIO, position: int) -> int:
-        """Return where the index says that the next chunk begins; 0 if it does not say."""
-        try:
-            file.seek(0)
-            summary = make_reader(file, validate_crcs=True).get_summary()
-        except _BROKEN:
-            summary = None
-        indexes = summary.chunk_indexes if summary else []
-        return min((index.chunk_start_offset for index in indexes
-                    if index.chunk_start_offset > position), default=0)
 
     def _damaged(self, position: int, reason: str) -> None:
         """Note damage, or raise it.

@@ -101,8 +101,10 @@ def read_run(path: Path, namespace: str | None = None) -> RunData:
     info = {**configuration_info(configuration), **source.info()}
     if source.cut:
         info['cut'] = source.cut
-    return RunData({_split(name)[1]: table.channel() for name, table in tables.items()
-                    if _split(name)[0] == chosen}, configuration, info, tuple(found))
+    chosen_tables = {_split(name)[1]: table for name, table in tables.items()
+                     if _split(name)[0] == chosen}
+    return RunData({name: chosen_tables[name].channel() for name in CHANNELS
+                    if name in chosen_tables}, configuration, info, tuple(found))
 
 
 def run_info(path: Path) -> RunInfo:

@@ -188,6 +188,20 @@ def test_a_damaged_chunk_costs_that_chunk(whole, tmp_path):
     assert path.joinpath('broken_0.mcap').read_bytes() == bytes(broken)      # never touched
 
 
+def test_damage_to_the_first_chunk_costs_no_other(whole, tmp_path):
+    """The definitions of the channels are in it; the summary repeats them."""
+    broken = bytearray(whole.contents)
+    broken[whole.offsets[0] + 1000] ^= 16
+    summary = recover(bare(tmp_path / 'broken', bytes(broken)), tmp_path / 'mended')
+    assert len(summary.notes) == 2                      # the chunk, the checksum of the file
+    found = read_run(tmp_path / 'mended')
+    kept = assert_part_of(found, whole.data, prefix=False)
+    assert 3000 * (1 - 1.5 / len(whole.offsets)) < kept < 3000
+    broken[-30] ^= 1                                    # the summary as well: nothing is believed
+    with pytest.raises(RecordingError, match='not one message can be read'):
+        recover(bare(tmp_path / 'worse', bytes(broken)), tmp_path / 'none')
+
+
 def test_behind_a_wrong_length_the_index_shows_the_way(whole, tmp_path):
     run, contents = whole.data, whole.contents
     offsets = whole.offsets

@@ -153,6 +153,15 @@ def test_metadata_wins_over_events_and_adds_up(tmp_path):
     assert found.info['plant'] == 'mine'
 
 
+def test_channels_come_in_the_order_of_the_loop(tmp_path, make_run):
+    data = make_run(3)
+    shuffled = RunData(dict(reversed(data.channels.items())))
+    for channel in shuffled.channels.values():
+        channel.log_time[:] = 0
+    save_run(shuffled, tmp_path / 'run')
+    assert list(read_run(tmp_path / 'run').channels) == list(data.channels)
+
+
 def two_loops(path):
     with RunWriter(path, {}, {}) as writer:
         for number, place in enumerate(('/left', '/right/valve')):

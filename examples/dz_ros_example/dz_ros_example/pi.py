@@ -64,4 +64,5 @@ class Pi(Law):
         terms[3] = -c[0] * s  # v_damping
         terms[7] = -c[1] * memory[0]  # v_extra
         terms[STATUS + 1] = memory[0]
-        return terms[3] + terms[7]
+        v: float = terms[3] + terms[7]
+        return v

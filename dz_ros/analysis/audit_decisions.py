@@ -1,0 +1,97 @@
+"""What the controller decides before its law, derived again from the stamps in the log.
+
+The reference within a nanosecond of the state's stamp is used as it is, any other is brought there
+by its own derivatives; adaptation advances by the interval since the step before where that lies
+in [T/2, 2T], by T in the first step, and not at all behind a reference older than 2T
+(`dz_ros.core.controller`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dz_ros.analysis.audit_result import Integers
+from dz_ros.analysis.audit_samples import Samples
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.controller import accepted_interval, SNAP
+from dz_ros.core.dataset import Channel, RunData
+from dz_ros.core.records import Reference, Status
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Decided:
+    """What the controller decides before the law, derived from stamps, one entry a step.
+
+    Attributes:
+        x_d: References at the states' stamps.
+        dt: Accepted intervals [s].
+        status: Status bits of the controller, without those of the law.
+        known: Whether the interval could be derived, shape (N,).
+        carried: Whether the reference was brought to another stamp, shape (N,).
+    """
+
+    x_d: list[tuple[float, ...]]
+    dt: list[float]
+    status: Array
+    known: Flags
+    carried: Flags
+
+
+def decide(run: RunData, samples: Samples, rows: Integers, c: Configuration) -> Decided:
+    """Derive reference, interval and status of samples as the controller does."""
+    period = c.loop.period
+    references = run.channels.get('reference')
+    at = samples.reference[rows]
+    stamp = samples.stamp[rows]
+    width = c.plant.order + 1
+    if references is None or not len(references):
+        table, moved = np.full((len(rows), width), np.nan), np.full(len(rows), np.nan)
+    else:
+        table = references.values[at][:, 2:2 + width]
+        moved = np.where(at >= 0, stamp - references['stamp'][at], np.nan)
+    with np.errstate(invalid='ignore'):
+        carried = np.abs(moved) >= SNAP
+        late = carried & (np.abs(moved) > 2.0 * period)
+    x_d = [tuple(row) for row in table.tolist()]
+    for i in np.flatnonzero(carried).tolist():
+        seq, own = int(samples.seq[rows[i]]), float(stamp[i] - moved[i])
+        if references is not None:
+            own = float(references['stamp'][at[i]])
+        x_d[i] = Reference(seq, own, x_d[i]).at(float(stamp[i])).x_d
+    follows = samples.follows[rows]
+    first = samples.seq[rows] == 0
+    earlier = samples.stamp[np.maximum(rows - 1, 0)]
+    told = column(run.channels.get('terms'), 'dt', samples.terms[rows])
+    bits = column(run.channels.get('terms'), 'status', samples.terms[rows])
+    dt, status = [], []
+    for i, (before, now) in enumerate(zip(earlier.tolist(), stamp.tolist(), strict=True)):
+        if first[i]:
+            interval = period
+        elif follows[i]:
+            interval = accepted_interval(before, now, period)
+        else:
+            interval = float(told[i])
+        reasons = Status.ADAPTING if interval > 0.0 else Status.BAD_INTERVAL
+        if late[i]:
+            interval, reasons = 0.0, reasons | Status.STALE_REFERENCE
+        if bits[i] == bits[i] and 0 <= bits[i] < 256 and int(bits[i]) & Status.INACTIVE:
+            # What switched the controller off is not among the inputs: taken as recorded.
+            interval, reasons = 0.0, reasons | Status.INACTIVE
+        dt.append(interval)
+        status.append(float(reasons))
+    return Decided(x_d, dt, np.array(status, dtype=float), first | follows, carried)
+
+
+def column(channel: Channel | None, label: str, rows: Integers) -> Array:
+    """Return one column at some rows; NaN where there is no row."""
+    if channel is None or not len(channel):
+        return np.full(len(rows), np.nan)
+    return np.where(rows >= 0, channel[label][rows], np.nan)
+
+

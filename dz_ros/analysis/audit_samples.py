@@ -1,0 +1,221 @@
+"""Which recorded messages belong to one step of the law.
+
+A step is a command and its terms, joined by seq; terms and command name the state they answer and
+terms the reference used. One log may hold several starts of the controller (command seq from 0
+again) and of the plant (state seq from 0 again): a seq then names several messages, of which the
+one with the right stamp counts, and of those the nearest in log time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dz_ros.analysis.audit_result import differ
+from dz_ros.core.controller import SNAP
+from dz_ros.core.dataset import Channel, RunData
+
+Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+LIMIT = 1 << 40
+"""A seq from here on is no count of anything."""
+DISORDER = 100
+"""A seq that falls by more than this, or to 0, is a new start and not disorder."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Steps of the law in order; rows of the channels, −1 where the message is not in the log.
+
+    Attributes:
+        start: Which start of the controller, from 0, shape (N,).
+        seq: seq of the command, shape (N,).
+        command: Row of the command, shape (N,).
+        terms: Row of the terms, shape (N,).
+        state: Row of the state answered, shape (N,).
+        reference: Row of the reference used, shape (N,).
+        stamp: Stamp of the state answered [s]; NaN where unknown, shape (N,).
+        begin_ns: Log time of the first message of each start.
+        end_ns: Log time of the last one.
+        findings: What is wrong with the messages themselves.
+    """
+
+    start: Integers
+    seq: Integers
+    command: Integers
+    terms: Integers
+    state: Integers
+    reference: Integers
+    stamp: Array
+    begin_ns: tuple[int, ...]
+    end_ns: tuple[int, ...]
+    findings: tuple[str, ...]
+
+    @property
+    def follows(self) -> NDArray[np.bool_]:
+        """Whether the step before is in the log, directly before it, shape (N,)."""
+        found = np.zeros(len(self.seq), dtype=bool)
+        found[1:] = (np.diff(self.seq) == 1) & (np.diff(self.start) == 0)
+        return found
+
+
+def rows_with_seq(channel: Channel) -> Integers:
+    """Return the rows whose seq is a count."""
+    seq = channel['seq']
+    with np.errstate(invalid='ignore'):
+        return np.flatnonzero((seq >= 0.0) & (seq < LIMIT) & (seq == np.rint(seq)))
+
+
+def starts(seq: Integers) -> Integers:
+    """Return how often the count began anew before each message, shape (N,)."""
+    fell = np.zeros(len(seq), dtype=np.int64)
+    fell[1:] = (seq[1:] < seq[:-1]) & ((seq[1:] == 0) | (seq[:-1] - seq[1:] > DISORDER))
+    return np.cumsum(fell)
+
+
+class Index:
+    """The messages of a channel by seq."""
+
+    def __init__(self, channel: Channel) -> None:
+        rows = rows_with_seq(channel)
+        seq = channel['seq'][rows].astype(np.int64)
+        order = np.argsort(seq, kind='stable')
+        self._rows = rows[order]
+        self._seq = seq[order]
+        self._stamp = channel['stamp'][self._rows]
+        self._time = channel.log_time[self._rows]
+
+    def find(self, seq: Array, stamp: Array, time: Integers) -> Integers:
+        """Return the row for each seq; of several the right stamp, then the nearest log time.
+
+        Args:
+            seq: seq wanted; anything that is no seq of the channel gives −1, shape (N,).
+            stamp: Stamp wanted [s]; NaN = any, shape (N,).
+            time: Log time of the message that names it [ns], shape (N,).
+        """
+        left = np.searchsorted(self._seq, seq, 'left')
+        right = np.searchsorted(self._seq, seq, 'right')
+        found = np.full(len(seq), -1, dtype=np.int64)
+        there = right > left
+        found[there] = self._rows[left[there]]
+        for i in np.flatnonzero(right - left > 1).tolist():
+            low, high = int(left[i]), int(right[i])
+            with np.errstate(invalid='ignore'):
+                wrong = np.abs(self._stamp[low:high] - stamp[i]) >= SNAP
+            distance = np.abs(self._time[low:high] - time[i])
+            found[i] = self._rows[low + int(np.lexsort((distance, wrong))[0])]
+        return found
+
+
+def _keys(channel: Channel | None) -> tuple[Integers, Integers, Integers]:
+    """Return (rows with a seq, their starts, their seq)."""
+    if channel is None:
+        return (np.empty(0, dtype=np.int64),) * 3
+    rows = rows_with_seq(channel)
+    seq = channel['seq'][rows].astype(np.int64)
+    return rows, starts(seq), seq
+
+
+def _same_starts(own: Integers, times: Integers, other: Integers,
+                 other_times: Integers) -> Integers:
+    """Return the starts of one channel by the count of another, which may have seen more."""
+    if not len(own) or not len(other) or own[-1] == other[-1]:
+        return own
+    begins = np.array([other_times[np.searchsorted(other, e)] for e in range(other[-1] + 1)])
+    mine = np.array([times[np.searchsorted(own, e)] for e in range(own[-1] + 1)])
+    nearest = np.abs(mine[:, np.newaxis] - begins).argmin(axis=1)
+    return np.asarray(nearest[own], dtype=np.int64)
+
+
+def collect(run: RunData) -> Samples:
+    """Return the steps of the law that left a command or terms in a log."""
+    command, terms = run.channels.get('command'), run.channels.get('terms')
+    command_rows, command_start, command_seq = _keys(command)
+    terms_rows, terms_start, terms_seq = _keys(terms)
+    command_time = command.log_time[command_rows] if command else command_rows
+    terms_time = terms.log_time[terms_rows] if terms else terms_rows
+    if len(command_start) and len(terms_start) and command_start[-1] < terms_start[-1]:
+        command_start = _same_starts(command_start, command_time, terms_start, terms_time)
+    else:
+        terms_start = _same_starts(terms_start, terms_time, command_start, command_time)
+    findings: list[str] = []
+    command_keys = command_start * LIMIT + command_seq
+    terms_keys = terms_start * LIMIT + terms_seq
+    keys = np.union1d(command_keys, terms_keys)
+    at_command = _first_rows(keys, command_keys, command_rows, command, 'command', findings)
+    at_terms = _first_rows(keys, terms_keys, terms_rows, terms, 'terms', findings)
+    start, seq = keys // LIMIT, keys % LIMIT
+    state, reference, stamp = _inputs(run, at_command, at_terms)
+    both = [(command_start, command_time), (terms_start, terms_time)]
+    count = int(start[-1]) + 1 if len(start) else 0
+    times = [np.concatenate([time[own == e] for own, time in both]) for e in range(count)]
+    return Samples(start, seq, at_command, at_terms, state, reference, stamp,
+                   tuple(int(item.min()) for item in times),
+                   tuple(int(item.max()) for item in times), tuple(findings))
+
+
+def _first_rows(keys: Integers, own: Integers, rows: Integers, channel: Channel | None,
+                name: str, findings: list[str]) -> Integers:
+    """Return the first row of each key; say where a repetition has other numbers."""
+    found = np.full(len(keys), -1, dtype=np.int64)
+    if channel is None:
+        return found
+    if len(rows) < len(channel):
+        findings.append(f'{name}: {len(channel) - len(rows)} message(s) with a seq that is none')
+    distinct, index, inverse = np.unique(own, return_index=True, return_inverse=True)
+    found[np.searchsorted(keys, distinct)] = rows[index]
+    again = np.setdiff1d(np.arange(len(rows)), index)
+    if len(again):
+        columns = [i for i, label in enumerate(channel.labels) if label != 'hold']
+        other = channel.values[rows[again]][:, columns]
+        same = channel.values[rows[index[inverse[again]]]][:, columns]
+        wrong = again[differ(other, same).any(axis=1)]
+        if len(wrong):
+            findings.append(f'{name}: {len(wrong)} message(s) came again with other numbers, the '
+                            f'first with seq {int(own[wrong[0]] % LIMIT)}')
+    return found
+
+
+def _inputs(run: RunData, command: Integers, terms: Integers) -> tuple[Integers, Integers, Array]:
+    """Return (row of the state, row of the reference, stamp of the state) of every step."""
+    none = np.full(len(command), -1, dtype=np.int64)
+    echo, stamp = np.full(len(command), np.nan), np.full(len(command), np.nan)
+    reference_seq = np.full(len(command), np.nan)
+    time = np.zeros(len(command), dtype=np.int64)
+    # The terms answer last, so theirs count: they name the reference as well.
+    for name, rows, at in (('command', command, 'echo_stamp'), ('terms', terms, 'stamp')):
+        channel = run.channels.get(name)
+        if channel is None:
+            continue
+        there = rows >= 0
+        echo[there] = channel['echo_seq'][rows[there]]
+        stamp[there] = channel[at][rows[there]]
+        time[there] = channel.log_time[rows[there]]
+        if name == 'terms':
+            reference_seq[there] = channel['reference_seq'][rows[there]]
+    states, references = run.channels.get('state'), run.channels.get('reference')
+    state = none if states is None else Index(states).find(echo, stamp, time)
+    if states is not None and len(states):
+        stamp = np.where(state >= 0, states['stamp'][state], stamp)
+    if references is None:
+        return state, none, stamp
+    reference = Index(references).find(reference_seq, stamp, time)
+    unnamed = np.flatnonzero(terms < 0)
+    reference[unnamed] = by_stamp(references, stamp[unnamed], time[unnamed])
+    return state, reference, stamp
+
+
+def by_stamp(references: Channel, stamp: Array, time: Integers) -> Integers:
+    """Return the reference meant for each stamp, which the controller prefers; −1 = none."""
+    found = np.full(len(stamp), -1, dtype=np.int64)
+    order = np.argsort(references['stamp'], kind='stable')
+    stamps = references['stamp'][order]
+    left = np.searchsorted(stamps, stamp - SNAP)
+    right = np.searchsorted(stamps, stamp + SNAP)
+    for i in np.flatnonzero(right > left).tolist():
+        rows = order[left[i]:right[i]]
+        found[i] = rows[int(np.argmin(np.abs(references.log_time[rows] - time[i])))]
+    return found

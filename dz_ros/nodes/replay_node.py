@@ -1,0 +1,215 @@
+"""A recorded run as a node: publishes what was recorded, paced as it was recorded.
+
+Topics keep their names, taken relative to this node's namespace, their types, their bytes and the
+quality of service they were offered with. While it plays it is steered as rosbag2's player is,
+by services of the same names (docs/replay.md). The twin without ROS is ``recording/player.py``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+import time
+from typing import Any
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rosgraph_msgs.msg import Clock
+
+from dz_ros.errors import ConfigurationError, LoopError, RecordingError
+from dz_ros.nodes.base import _executor, PATIENCE, SPIN_LIMIT
+from dz_ros.nodes.recorded import message_class, offered_as_recorded
+from dz_ros.nodes.steering import Steering
+from dz_ros.recording.channels import EVENTS
+from dz_ros.recording.mcap_file import Message, Topic
+from dz_ros.recording.outline import recorded_topics
+from dz_ros.recording.player import Batches, Player
+from dz_ros.recording.source import open_source, Source
+from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
+from dz_ros.runtime.deadlines import Deadlines
+
+SERVE = 50
+"""Callbacks are served at least once in so many messages, also where replay is behind."""
+SLACK_NS = 3_000_000
+"""The run is read further when the next message is due no sooner than this [ns]."""
+
+
+class ReplayNode(Node):
+    """Player of one run.
+
+    Attributes:
+        stopping: True once a signal or the service ``~/stop`` asked the node to end.
+
+    Raises:
+        ConfigurationError: No run given, or a parameter that cannot be.
+        RecordingError: The run cannot be read, or holds nothing to be played.
+        LoopError: Another process publishes one of its topics.
+    """
+
+    def __init__(self) -> None:
+        super().__init__('replay_node')
+        self.stopping = False
+        self._claims: list[Any] = []
+        self._executor = _executor()
+        self._executor.add_node(self)
+        path = self._given('run', '', 'directory of the run, or its .mcap; any rosbag2 bag')
+        if not path:
+            raise ConfigurationError('run', path, 'must be the directory of a run')
+        self._path = Path(path).expanduser()
+        wanted = self._given('topics', [''], 'topics to play; none = all')
+        awaited = self._given('wait_for', [''], 'topics that must have a listener before the '
+                              'first message')
+        self._clock_rate = self._given('clock', 0.0, 'publish the time of the recording on /clock '
+                                       'so often; 0 = never [Hz]')
+        if not 0.0 <= self._clock_rate <= 1000.0:
+            raise ConfigurationError('clock', self._clock_rate, 'must be 0 to 1000 Hz')
+        self._source: Source = open_source(self._path)
+        recorded = recorded_topics(self._source)
+        self._outputs: dict[str, Publisher] = {
+            name: publisher for name in self._chosen(recorded, wanted)
+            if (publisher := self._offer(recorded[name])) is not None}
+        if not self._outputs:
+            raise RecordingError(f'{self._path} holds no topic that could be published')
+        self._awaited = [self._outputs[name] for name in self._chosen(self._outputs, awaited)
+                         ] if any(awaited) else []
+        self._player = Player(
+            self._batches, topics=self._outputs,
+            rate=self._given('rate', 1.0, 'how many times faster than recorded; may be changed '
+                             'at any time'),
+            start=self._given('start', 0.0, 'where to begin, from the first message on [s]'),
+            duration=self._given('duration', 0.0, 'how much to play, in recorded time; 0 = to '
+                                 'the end [s]'),
+            loop=self._given('loop', False, 'begin again at the end'),
+            paused=self._given('paused', False, 'begin paused'))
+        self._steering = Steering(self, self._player, self._publish)
+        if self._clock_rate:
+            self._clock_publisher = self.create_publisher(Clock, '/clock', 10)
+
+    def _given(self, name: str, default: Any, description: str) -> Any:
+        """Return a parameter as given at the start; all but `rate` stay as they are.
+
+        Raises:
+            ConfigurationError: Not a number where there should be one.
+        """
+        value = self.declare_parameter(name, default, ParameterDescriptor(
+            read_only=name != 'rate', dynamic_typing=isinstance(default, float),
+            description=description)).value
+        if isinstance(default, float):      # 2 is as good as 2.0
+            if type(value) not in (int, float):
+                raise ConfigurationError(name, value, 'must be a number')
+            return float(value)
+        return value
+
+    def _chosen(self, known: Any, names: list[str]) -> list[str]:
+        """Return which topics are meant; names may lack their leading slash.
+
+        Raises:
+            ConfigurationError: There is no such topic.
+        """
+        wanted = ['/' + name.strip('/') for name in names if name]
+        for name in wanted:
+            if name not in known:
+                raise ConfigurationError('topics', name, f'{self._path} has {", ".join(known)}')
+        return wanted or list(known)
+
+    def _offer(self, topic: Topic) -> Publisher | None:
+        """Return the publisher of a recorded topic; None where it cannot be had, which is logged.
+
+        Raises:
+            LoopError: Another process of this machine publishes that topic of a loop.
+        """
+        kind = message_class(topic.type_name) if topic.encoding == 'cdr' else None
+        if kind is None:
+            self.get_logger().warning(f'{topic.name} is left out: {topic.type_name} is not '
+                                      'installed')
+            return None
+        if topic.name == '/clock' and self._clock_rate:
+            return None
+        publisher = self.create_publisher(kind, topic.name.lstrip('/'),
+                                          offered_as_recorded(topic.qos))
+        if topic.name.rpartition('/')[2] != EVENTS:     # which every node publishes
+            try:
+                self._claims.append(claim(domain_topic(publisher.topic_name)))
+            except ClaimedError as error:
+                raise LoopError(
+                    f'topic {publisher.topic_name} is published by a loop or another replay on '
+                    f'this machine (process {error.pid}): stop that one, or use another '
+                    'namespace or ROS_DOMAIN_ID') from None
+        return publisher
+
+    def _batches(self) -> Batches:
+        """Return the run's messages from the beginning."""
+        self._source = open_source(self._path)
+        return self._source.batches()
+
+    def run(self) -> None:
+        """Play until the end, or until told to end.
+
+        Raises:
+            RecordingError: The run cannot be read further.
+        """
+        self._wait_for_listeners()
+        player = self._player
+        clock = (Deadlines(1.0 / self._clock_rate, time.monotonic_ns()) if self._clock_rate
+                 else None)
+        if clock is not None:
+            self._tick()
+        player.begin()
+        unserved = 0
+        while not (self.stopping or player.finished):
+            if clock is not None and clock.remaining() <= 0.0:
+                clock.begin()
+                self._tick()
+            message = player.take()
+            if message is not None:
+                self._publish(message)
+                unserved += 1
+                if unserved < SERVE:
+                    continue
+            unserved = 0
+            due = player.due_ns
+            slack = int(SPIN_LIMIT * 1e9) if due is None else due - time.monotonic_ns()
+            if player.low and (due is None or slack > SLACK_NS or message is not None):
+                player.read_ahead()
+                slack = 0
+            if clock is not None:
+                slack = min(slack, int(clock.remaining() * 1e9))
+            self._executor.spin_once(timeout_sec=min(max(slack * 1e-9, 0.0), SPIN_LIMIT))
+        late = (f'{player.late} late by more than 1 ms, the worst by {player.worst_ns * 1e-6:.1f} '
+                'ms' if player.late else 'none late by more than 1 ms')
+        self.get_logger().info(f'{player.played} messages of {self._path}, {late}')
+        if self._source.cut:
+            self.get_logger().warning(f'{self._path} was {self._source.cut}')
+
+    def close(self) -> None:
+        """Let what was published reach its listeners, then release everything."""
+        for publisher in getattr(self, '_outputs', {}).values():
+            publisher.wait_for_all_acked(Duration(seconds=1.0))
+        self._executor.remove_node(self)
+        self.destroy_node()
+        for held in self._claims:
+            held.close()
+
+    def _wait_for_listeners(self) -> None:
+        """Wait until somebody listens to the topics named by the parameter `wait_for`."""
+        said = time.monotonic()
+        while not self.stopping:
+            missing = [item.topic_name for item in self._awaited
+                       if not item.get_subscription_count()]
+            if not missing:
+                return
+            if time.monotonic() - said > PATIENCE:
+                self.get_logger().info(f'waiting for somebody to listen to {", ".join(missing)}')
+                said = time.monotonic()
+            self._executor.spin_once(timeout_sec=0.01)
+
+    def _publish(self, message: Message) -> None:
+        """Publish a message as it was recorded."""
+        self._outputs[message.topic].publish(message.payload)
+
+    def _tick(self) -> None:
+        """Publish where the player is on /clock."""
+        message = Clock()
+        message.clock.sec, message.clock.nanosec = divmod(self._player.time_ns, 1_000_000_000)
+        self._clock_publisher.publish(message)
