@@ -67,6 +67,7 @@ class Controller:
         self._references: deque[Reference] = deque(maxlen=KEPT)
         self._last: tuple[State, Command, Terms] | None = None
         self._signals: tuple[float, ...] = ()
+        self._begins = True
         self.configure(configuration)
         self.memory = self._earlier = self.law.initial_memory()
 
@@ -83,9 +84,9 @@ class Controller:
         self._phi_at = [i for i, name in enumerate(names) if name == 'phi']
 
     def restart(self, memory: tuple[float, ...]) -> None:
-        """Let the next step be a first one, with this memory."""
+        """Let the law take over in the next step, with this memory."""
         self.memory = self._earlier = memory
-        self._last = None
+        self._begins = True
 
     def set_reference(self, reference: Reference) -> None:
         """Take a reference; one that is not finite is not taken."""
@@ -116,7 +117,7 @@ class Controller:
             self.ignored['not_finite'] += 1
             return None
         last = self._last
-        if last is not None and state.seq != 0 and state.seq < last[0].seq:
+        if last is not None and state.seq < last[0].seq and state.seq != 0 and not self._begins:
             self.ignored['out_of_order'] += 1
             return None
         if last is not None and state.seq == last[0].seq:
@@ -129,8 +130,9 @@ class Controller:
         if late > 2.0 * self.period:
             dt, status = 0.0, status | Status.STALE_REFERENCE
         self.error = state.x[0] - reference.x_d[0]
-        if last is None:
+        if self._begins:
             self.gate.start(state.stamp)
+            self._begins = False
         command, memory, terms = self._step(reference, state, dt, status)
         self._check(command, memory, terms)
         limited = self.gate.limit(command.v, state.stamp)
@@ -155,7 +157,7 @@ class Controller:
         terms = Terms(self.count, state.stamp, tuple(values), 0.0, Status.INACTIVE, -1, state.seq,
                       self._signals or (0.0,) * len(self.law.signal_names))
         self.count += 1
-        self._last = None
+        self._last = (state, command, terms)
         return command, terms
 
     def newest_reference(self) -> float:

@@ -77,10 +77,11 @@ class ActuatorGuard:
             self.guard.counts[Verdict.OLD] += 1
             return None
         self._watchdog.feed(t)
-        if self.supervisor.happen(Event.INPUT) is Action.START:
-            self.gate.start(t)
-        if not self.supervisor.running:
-            return None
+        if not running:
+            if self.supervisor.happen(Event.INPUT) is Action.START:
+                self.gate.start(t)
+            if not self.supervisor.running:
+                return None
         self.taken = command
         refused = self.gate.refused
         v = self.gate.let_out(command.v, t)

@@ -108,9 +108,10 @@ class ControllerGuard:
             return None
         self._state = state
         trouble = self._trouble(state) if self._watch else ''
-        if self.supervisor.running and trouble:
-            self._lost = now
-            self.supervisor.happen(Event.STALE, trouble)
+        if self.supervisor.running:
+            if trouble:
+                self._lost = now
+                self.supervisor.happen(Event.STALE, trouble)
         elif ((self.supervisor.mode is Mode.WAITING or not trouble)
                 and self.supervisor.happen(Event.INPUT) is Action.START):
             self._start(state, now)

@@ -21,31 +21,36 @@ RIVALS, RIVALRY = 10, 1.0
 one."""
 
 
-class Verdict(enum.Enum):
+class Verdict(enum.IntEnum):
     """Why a message is not taken; TAKEN = it is."""
 
-    TAKEN = 'taken'
-    NOT_FINITE = 'not finite'
-    BAD_SEQ = 'seq is no count'
-    REPEATED = 'repeated'
-    CONFLICT = 'same seq, other content'
-    BACK = 'seq jumps back'
-    JUMP = 'seq leaps ahead'
-    FUTURE = 'stamp from the future'
-    OLD = 'answers too old a state'
+    TAKEN = 0
+    NOT_FINITE = 1
+    BAD_SEQ = 2
+    REPEATED = 3
+    CONFLICT = 4
+    BACK = 5
+    JUMP = 6
+    FUTURE = 7
+    OLD = 8
+
+
+WORDS = ('taken', 'not finite', 'seq is no count', 'repeated', 'same seq, other content',
+         'seq jumps back', 'seq leaps ahead', 'stamp from the future', 'answers too old a state')
+"""Each `Verdict` in words."""
 
 
 class SequenceGuard:
     """Judges the messages of one topic by their numbers.
 
     Attributes:
-        counts: Verdict → number of messages.
+        counts: Number of messages of each `Verdict`.
         skipped: Messages that never came, by the gaps in seq.
         last: Numbers of the last message taken; empty before the first.
     """
 
     def __init__(self) -> None:
-        self.counts = dict.fromkeys(Verdict, 0)
+        self.counts = [0] * len(Verdict)
         self.skipped = 0
         self.last: tuple[float, ...] = ()
         self._out_of_turn: deque[float] = deque(maxlen=RIVALS)
@@ -58,18 +63,15 @@ class SequenceGuard:
             now: Time of arrival [s].
             resync: True where a sender may have started anew: any seq is then taken.
         """
-        verdict = self._verdict(tuple(numbers), resync)
-        if verdict in (Verdict.BACK, Verdict.JUMP, Verdict.CONFLICT):
-            self._out_of_turn.append(now)
-        return self.note(verdict, numbers)
-
-    def note(self, verdict: Verdict, numbers: Sequence[float] = ()) -> Verdict:
-        """Count a verdict; remember the message if it was taken."""
+        numbers = tuple(numbers)
+        verdict = self._verdict(numbers, resync)
         self.counts[verdict] += 1
         if verdict is Verdict.TAKEN:
             if self.last and numbers[0] > self.last[0] + 1.0:
                 self.skipped += int(numbers[0] - self.last[0]) - 1
-            self.last = tuple(numbers)
+            self.last = numbers
+        elif verdict in (Verdict.BACK, Verdict.JUMP, Verdict.CONFLICT):
+            self._out_of_turn.append(now)
         return verdict
 
     def rivalry(self, now: float) -> bool:
@@ -82,8 +84,8 @@ class SequenceGuard:
 
     def rejected(self) -> dict[str, int]:
         """Return reason → count of the messages not taken."""
-        return {verdict.value: count for verdict, count in self.counts.items()
-                if count and verdict is not Verdict.TAKEN}
+        return {WORDS[verdict]: count for verdict, count in enumerate(self.counts)
+                if count and verdict != Verdict.TAKEN}
 
     def _verdict(self, numbers: tuple[float, ...], resync: bool) -> Verdict:
         if not all(map(math.isfinite, numbers)):
@@ -144,7 +146,7 @@ class FutureGuard:
     def ahead(self, stamp: float, now: float, tolerance: float) -> bool:
         """Return whether the stamp lies in the future by more than the tolerance [s]."""
         offset = now - stamp
-        if tolerance > 0.0 and offset < self._offset - tolerance:
+        if 0.0 < tolerance < self._offset - offset < math.inf:
             return True
         self._offset = min(self._offset, offset)
         return False
