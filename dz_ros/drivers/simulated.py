@@ -51,6 +51,11 @@ class SimulatedActuator:
         self._random = np.random.default_rng(c.loop.seed)
         self._pending: deque[tuple[float, float]] = deque()
 
+    def configure(self, configuration: Configuration) -> None:
+        """Give plant and dead-zone other parameters from now on; the structure is the same."""
+        self._plant = configuration.plant.constants
+        self._zone = configuration.dead_zone.constants
+
     def command(self, v: float, t: float) -> None:
         """Take a command that arrives at loop time t [s]; it acts `loop.delay` samples later."""
         if self._limit > 0.0:

@@ -440,8 +440,10 @@ def test_estimates_are_kept_reset_or_restored(estimates):
 def test_deactivation_gives_the_safe_command_and_activation_starts_from_it():
     loop = Loop(safety__rate_limit=10.0)
     loop.play(0, 100)
-    command, terms = loop.guard.transition('deactivate')
-    assert (command.v, terms.status) == (0.0, Status.INACTIVE)
+    sent = loop.guard.transition('deactivate')
+    assert len(sent) == REPEATS
+    for command, terms in sent:
+        assert (command.v, terms.status) == (0.0, Status.INACTIVE)
     assert loop.play(100, 101) == [None]
     loop.guard.transition('activate')
     after = [command.v for command, _ in loop.play(200, 260)]

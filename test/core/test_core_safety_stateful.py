@@ -133,7 +133,8 @@ class Ends(RuleBasedStateMachine):
             if (end.supervisor.life, name) not in LIFE:
                 continue
             if end is self.controller:
-                self.sent(end.transition(name))
+                for answer in end.transition(name):
+                    self.sent(answer)
             else:
                 self.held(end.transition(name, self.now))
             assert end.supervisor.latched == latched

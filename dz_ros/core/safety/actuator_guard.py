@@ -32,14 +32,15 @@ class ActuatorGuard:
     Attributes:
         supervisor: Life and mode.
         guard: Judge of the messages.
-        output: What the actuator is to hold now.
-        taken: Newest command that was let through; None before the first.
+        heard: Newest good command, whether it acts or not; None before the first.
+        taken: Newest command that acts or acted; None before the first.
     """
 
     def __init__(self, settings: SafetySettings, period: float, watch: bool = True,
                  changed: Callable[[Change], None] | None = None) -> None:
         self.supervisor = Supervisor(changed)
         self.guard = SequenceGuard()
+        self.heard: Command | None = None
         self.taken: Command | None = None
         self.gate = OutputGate(settings, period)
         self._period = period
@@ -77,6 +78,7 @@ class ActuatorGuard:
             self.guard.counts[Verdict.OLD] += 1
             return None
         self._watchdog.feed(t)
+        self.heard = command
         if not running:
             if self.supervisor.happen(Event.INPUT) is Action.START:
                 self.gate.start(t)

@@ -165,22 +165,24 @@ class ControllerGuard:
         if not pressed:
             return None
         self.supervisor.happen(Event.ESTOP, reason)
-        return self._safe()
+        return self.controller.safe_answer(self._state) if self._state.seq >= 0 else None
 
     def end(self) -> None:
         """Hear that the plant stops in order."""
         self._watchdog.stop()
         self.supervisor.happen(Event.END)
 
-    def transition(self, name: str) -> Answer | None:
-        """Follow a transition of the life; return the safe command to send several times, if any.
+    def transition(self, name: str) -> list[Answer]:
+        """Follow a transition of the life; return the safe commands to send, one by one.
 
         Raises:
             LookupError: There is none of this name from the present state.
         """
         action = self.supervisor.transition(name)
         self._watchdog.stop()
-        return self._safe() if action is Action.SAFE else None
+        if action is not Action.SAFE or self._state.seq < 0:
+            return []
+        return [self.controller.safe_answer(self._state) for _ in range(REPEATS)]
 
     def reset(self, now: float) -> str:
         """Leave a latched mode; return why not, empty when it was left."""
@@ -196,10 +198,6 @@ class ControllerGuard:
         self._forget_rivals()
         self.supervisor.happen(Event.RESET)
         return ''
-
-    def _safe(self) -> Answer | None:
-        """Return the safe command in answer to the newest state, None if there was none yet."""
-        return self.controller.safe_answer(self._state) if self._state.seq >= 0 else None
 
     def _start(self, state: State, now: float) -> None:
         """Let the law take over from the present state."""
