@@ -13,6 +13,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 
 from dz_ros.core.records import Command, Reference, State, Terms
 from dz_ros.core.safety.controller_guard import Answer, ControllerGuard
+from dz_ros.core.safety.health import LawHealth, Pace, percentiles, Rejections, Report, say_state
 from dz_ros.core.safety.supervisor import Supervisor
 from dz_ros.core.safety.table import Mode
 from dz_ros.errors import LoopError
@@ -33,6 +34,10 @@ class ControllerNode(GuardedNode):
         super().__init__('controller_node', 'loop', 'structure', 'controller', 'safety')
         self._guard = ControllerGuard(self.configuration, self.changed, self._begins)
         self._order = self.configuration.plant.order
+        self._pace = Pace(self.configuration.loop.period)
+        self._health = LawHealth(self.configuration)
+        self._rejections = Rejections()
+        self._holds: list[float] = []
         self._waiting: tuple[State, int] | None = None
         self._announced: tuple[int, tuple[float, ...]] | None = None
         rate = self.declare_parameter('progress_rate', 0.0, ParameterDescriptor(
@@ -45,6 +50,23 @@ class ControllerNode(GuardedNode):
     def supervisor(self) -> Supervisor:
         """Life and mode."""
         return self._guard.supervisor
+
+    def report(self) -> Report:
+        """Return how the controller has been since the last report."""
+        report = Report()
+        say_state(report, self.supervisor)
+        self._pace.report(report, not self.lockstep)
+        percentiles(self._holds, report, 'state to command')
+        self._holds.clear()
+        self._health.report(report)
+        report.put('commands', self._guard.controller.count, 'd')
+        report.put('held back by a limit', self._guard.controller.gate.limited, 'd')
+        report.put('states lost', self._guard.state_guard.skipped, 'd')
+        self._rejections.report(report, {
+            f'{topic}: {reason}': count for topic, guard in (
+                ('state', self._guard.state_guard), ('reference', self._guard.reference_guard))
+            for reason, count in guard.rejected().items()})
+        return report
 
     def set_up(self) -> None:
         """Offer commands, listen to references; to states only when everybody is there."""
@@ -83,6 +105,7 @@ class ControllerNode(GuardedNode):
             self.spin(period if watching else SPIN_LIMIT)
             if watching:
                 self._look()
+            self.diagnosing.look()
             if self.lockstep and self._waiting is not None:
                 state, taken_ns = self._waiting
                 if time.monotonic_ns() - taken_ns > GONE_NS:
@@ -93,6 +116,7 @@ class ControllerNode(GuardedNode):
     def reconfigure(self) -> None:
         """Use other gains and limits from the next sample on, and say so."""
         self._guard.configure(self.configuration)
+        self._health.configure(self.configuration)
         self._announced = None
         self._begins(self._guard.controller.count, self._guard.controller.memory)
 
@@ -136,10 +160,15 @@ class ControllerNode(GuardedNode):
 
     def _answer(self, state: State, taken_ns: int) -> None:
         answer = self._guard.answer(state, taken_ns * 1e-9)
-        if answer is not None and self._progress is not None:
-            self._progress.sample(state, answer[1], self._guard.controller.error, answer[0].v,
-                                  taken_ns)
         self._send(answer, taken_ns)
+        if answer is None:
+            return
+        command, terms = answer
+        self._pace.sample(taken_ns * 1e-9, state.stamp)
+        self._health.sample(command.v, terms, self._guard.controller.error)
+        self._holds.append((time.monotonic_ns() - taken_ns) * 1e-9)
+        if self._progress is not None:
+            self._progress.sample(state, terms, self._guard.controller.error, command.v, taken_ns)
 
     def _look(self) -> None:
         """Look at the clock."""

@@ -18,7 +18,7 @@ from dz_ros.runtime.process import settle
 
 NODES = {'plant_node': 'PlantNode', 'controller_node': 'ControllerNode',
          'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode',
-         'replay_node': 'ReplayNode'}
+         'replay_node': 'ReplayNode', 'operator_node': 'OperatorNode'}
 """Executable → class in the module of the same name."""
 
 

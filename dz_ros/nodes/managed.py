@@ -15,8 +15,10 @@ from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallba
 from rclpy.parameter import Parameter
 
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.safety.health import Level, Report
 from dz_ros.errors import DzRosError, LoopError
 from dz_ros.nodes.base import LoopNode
+from dz_ros.nodes.diagnosing import Diagnosing
 from dz_ros.nodes.parameters import configure
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -46,6 +48,16 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
         self._autostart = self.declare_parameter('autostart', True, ParameterDescriptor(
             read_only=True, description='configure and activate the node when it starts')).value
 
+        self.diagnosing = Diagnosing(self, self.report)
+
+    def report(self) -> Report:
+        """Return how the node has been since the last report."""
+        report = Report()
+        life = self._state_machine.current_state[1]
+        report.put('state', life)
+        report.say(Level.OK if self.active else Level.WARN, life)
+        return report
+
     def watch_parameters(self) -> None:
         """Let parameters change from now on."""
         self.add_on_set_parameters_callback(self._judge)
@@ -67,6 +79,7 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
         while not self.stopping:
             if not self.active:
                 self.spin()
+                self.diagnosing.look()
             elif self.work():
                 return
 
@@ -85,6 +98,7 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
         """Work until `halted`; return True when all is done."""
         while not self.halted:
             self.spin()
+            self.diagnosing.look()
         return False
 
     def set_up(self) -> None:

@@ -22,6 +22,7 @@ from rosgraph_msgs.msg import Clock
 
 from dz_ros.core.records import Command, State, Truth
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
+from dz_ros.core.safety.health import Pace, percentiles, Rejections, Report, say_state
 from dz_ros.core.safety.supervisor import Supervisor
 from dz_ros.drivers.simulated import SimulatedActuator
 from dz_ros.errors import LoopError
@@ -53,12 +54,31 @@ class PlantNode(GuardedNode):
         self._answered_seq = -1
         self._round_trip = 0.0
         self._finished = False
+        self._pace = Pace(self._period)
+        self._rejections = Rejections()
+        self._round_trips: list[float] = []
+        self._skipped = 0
         self.watch_parameters()
 
     @property
     def supervisor(self) -> Supervisor:
         """Life and mode."""
         return self._guard.supervisor
+
+    def report(self) -> Report:
+        """Return how the actuator's end has been since the last report."""
+        report = Report()
+        say_state(report, self.supervisor)
+        self._pace.report(report, not self.lockstep)
+        percentiles(self._round_trips, report, 'round trip')
+        self._round_trips.clear()
+        report.put('periods skipped', self._skipped, 'd')
+        report.put('command in force', self._guard.output)
+        report.put('held back by a limit', self._guard.gate.limited, 'd')
+        report.put('commands lost', self._guard.guard.skipped, 'd')
+        self._rejections.report(report, {f'command: {reason}': count for reason, count
+                                         in self._guard.guard.rejected().items()})
+        return report
 
     def set_up(self) -> None:
         """Offer states, listen to commands."""
@@ -90,6 +110,7 @@ class PlantNode(GuardedNode):
         while not (self._answered() or self.halted):
             self._publish()
             self.spin_until(time.monotonic() + REPEAT, self._answered)
+            self.diagnosing.look()
         if self.halted:
             return False
         self.event('started', stamp=self._actuator.t)
@@ -136,6 +157,9 @@ class PlantNode(GuardedNode):
             stamp = ticks.begin() * self._period
             self._look(stamp)
             self._next(stamp)
+            self._skipped = ticks.skipped
+            self._pace.sample(time.monotonic(), stamp)
+            self.diagnosing.look()
         if ticks.index >= last:
             self.spin_until(time.monotonic() + 1.0, self._answered)
         if not (ticks.index >= last or self.stopping):
@@ -166,6 +190,7 @@ class PlantNode(GuardedNode):
             message.clock.sec, message.clock.nanosec = divmod(stamp_ns, 1_000_000_000)
             clock.publish(message)
             self._next((self._seq + 1) * self._period)
+            self.diagnosing.look()
         self.destroy_publisher(clock)
         if not (self._seq >= last or self.stopping):
             return False
@@ -219,6 +244,7 @@ class PlantNode(GuardedNode):
         if self._guard.heard.echo_seq == self._seq:
             self._answered_seq = self._seq
             self._round_trip = (now_ns - self._published_ns) * 1e-9
+            self._round_trips.append(self._round_trip)
             if self._start_ns is None:
                 self._start_ns = now_ns - round(self._actuator.t * 1e9)
         if v is not None:

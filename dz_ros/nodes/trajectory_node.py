@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dz_ros.core.records import Reference, State
 from dz_ros.core.safety.guards import SequenceGuard, Verdict
+from dz_ros.core.safety.health import Rejections, Report
 from dz_ros.nodes.managed import ManagedNode
 
 CATCH_UP = 100
@@ -27,7 +28,17 @@ class TrajectoryNode(ManagedNode):
         self._order = self.configuration.plant.order
         self._guard = SequenceGuard()
         self._sent = -1
+        self._rejections = Rejections()
         self.watch_parameters()
+
+    def report(self) -> Report:
+        """Return how the generator has been since the last report."""
+        report = super().report()
+        report.put('newest reference', self._sent, 'd')
+        report.put('states lost', self._guard.skipped, 'd')
+        self._rejections.report(report, {f'state: {reason}': count for reason, count
+                                         in self._guard.rejected().items()})
+        return report
 
     def set_up(self) -> None:
         """Offer references; listen to states only when everybody is there."""
