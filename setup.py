@@ -10,7 +10,6 @@ name = manifest.findtext('name')
 maintainer = manifest.find('maintainer')
 
 
-
 def files(*patterns):
     return sorted(str(path) for pattern in patterns for path in Path().glob(pattern))
 
@@ -35,7 +34,7 @@ setup(
     python_requires='>=3.10',
     install_requires=[
         'matplotlib>=3.6',
-        'mcap>=1.2,<2',
+        'mcap>=1.5,<2',
         'numpy>=1.26',
         'pyyaml>=6.0',
         'rosbags>=0.11,<0.12',
@@ -47,7 +46,7 @@ setup(
         # the pins pip takes another distribution's.
         'ros': ['ros-rclpy[fastrtps]==7.1.6', 'ros-common-interfaces==5.3.6'],
         'numba': ['numba>=0.61'],   # compiles loops off line; the numbers are the same
-        'test': ['hypothesis>=6.98', 'pytest>=7.4'],
+        'test': ['hypothesis>=6.98', 'numba>=0.61', 'pytest>=7.4'],
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [
             'catkin-pkg==1.1.1',

@@ -22,7 +22,12 @@ from numpy.typing import NDArray
 
 from dz_ros.analysis.audit_compare import compare_steps, explain, step_inputs, Why
 from dz_ros.analysis.audit_decisions import decide
-from dz_ros.analysis.audit_messages import missing_messages, reference_notes, state_notes
+from dz_ros.analysis.audit_messages import (
+    frozen_notes,
+    missing_messages,
+    reference_notes,
+    state_notes,
+)
 from dz_ros.analysis.audit_result import AuditResult, Reason, Tally
 from dz_ros.analysis.audit_samples import collect, LIMIT, Samples
 from dz_ros.analysis.audit_spans import Part, parts
@@ -50,7 +55,7 @@ def audit(run: RunData, configuration: Configuration | None = None) -> AuditResu
     found, findings, notes = parts(run, samples, configuration, here)
     tally = Tally(samples.seq, samples.stamp, samples.start)
     why = Why(samples.seq)
-    frozen, carried = (np.zeros(len(samples.seq), dtype=bool) for _ in range(2))
+    carried = np.zeros(len(samples.seq), dtype=bool)
     edges = _edges(samples, found)
     last: tuple[float, ...] | None = None
     for part, (low, high) in edges:
@@ -66,7 +71,6 @@ def audit(run: RunData, configuration: Configuration | None = None) -> AuditResu
         outputs = compute(part.configuration, inputs, before)
         compare_steps(run, samples, rows, decided, outputs, part.configuration, tally)
         explain(samples, rows, inputs, decided, outputs, why)
-        frozen[rows] = outputs.done & (np.asarray(decided.dt) == 0.0)
         carried[rows] = outputs.done & decided.carried
         last = outputs.last
     reasons = why.reasons() + _gaps(samples)
@@ -80,9 +84,7 @@ def audit(run: RunData, configuration: Configuration | None = None) -> AuditResu
         wrong, said = reference_notes(run, samples, carried)
         findings += wrong
         notes += said
-    if frozen.any():
-        notes.append(f'adaptation was frozen in {np.count_nonzero(frozen)} sample(s), the first '
-                     f'with seq {int(samples.seq[frozen.argmax()])}')
+    notes += frozen_notes(run, samples)
     if run.info.get('cut'):
         notes.append(f'the log was cut off: {run.info["cut"]}')
     return AuditResult(

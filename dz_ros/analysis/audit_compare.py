@@ -81,21 +81,21 @@ def compare_steps(run: RunData, samples: Samples, rows: Integers, decided: Decid
                       expected[at - rows[0]])
 
     stamp, known = samples.stamp[rows], samples.state[rows] >= 0
-    echo = column(run.channels.get('command'), 'echo_seq', samples.command[rows])
+    echo = column(run.channels.get('state'), 'seq', samples.state[rows])
     linked = outputs.linked
     for j, name in enumerate(memory_names(c.law)):
         tally.add(f'memory.{name}', rows[linked], outputs.told[linked, j],
                   outputs.expected[linked, j])
     field('terms', 'stamp', stamp, known)
-    field('terms', 'echo_seq', echo, samples.command[rows] >= 0)
-    status = decided.status + np.array([
-        float(int(bits) & ~int(own)) for bits, own in zip(
-            np.nan_to_num(outputs.terms[:, STATUS]), decided.status, strict=True)])
+    field('terms', 'echo_seq', echo, known)
+    own = decided.status.astype(np.int64)
+    status = (own | np.nan_to_num(outputs.terms[:, STATUS]).astype(np.int64)).astype(float)
     field('terms', 'dt', np.asarray(decided.dt), decided.known & (samples.reference[rows] >= 0))
     field('terms', 'status', status, decided.known & outputs.done)
     for j, name in enumerate((*TERM_NAMES, '', *c.law.signal_names)):
         if name:
             field('terms', name, outputs.terms[:, j], outputs.done)
+    field('command', 'echo_seq', echo, known)
     field('command', 'stamp', stamp, known)
     field('command', 'echo_stamp', stamp, known)
     field('command', 'v', outputs.v, outputs.done)

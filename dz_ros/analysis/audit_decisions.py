@@ -59,33 +59,24 @@ def decide(run: RunData, samples: Samples, rows: Integers, c: Configuration) -> 
         carried = np.abs(moved) >= SNAP
         late = carried & (np.abs(moved) > 2.0 * period)
     x_d = [tuple(row) for row in table.tolist()]
-    for i in np.flatnonzero(carried).tolist():
-        seq, own = int(samples.seq[rows[i]]), float(stamp[i] - moved[i])
-        if references is not None:
-            own = float(references['stamp'][at[i]])
-        x_d[i] = Reference(seq, own, x_d[i]).at(float(stamp[i])).x_d
+    if references is not None:
+        for i in np.flatnonzero(carried).tolist():
+            own = Reference(0, float(references['stamp'][at[i]]), x_d[i])
+            x_d[i] = own.at(float(stamp[i])).x_d
     follows = samples.follows[rows]
     first = samples.seq[rows] == 0
     earlier = samples.stamp[np.maximum(rows - 1, 0)]
     told = column(run.channels.get('terms'), 'dt', samples.terms[rows])
     bits = column(run.channels.get('terms'), 'status', samples.terms[rows])
-    dt, status = [], []
-    for i, (before, now) in enumerate(zip(earlier.tolist(), stamp.tolist(), strict=True)):
-        if first[i]:
-            interval = period
-        elif follows[i]:
-            interval = accepted_interval(before, now, period)
-        else:
-            interval = float(told[i])
-        reasons = Status.ADAPTING if interval > 0.0 else Status.BAD_INTERVAL
-        if late[i]:
-            interval, reasons = 0.0, reasons | Status.STALE_REFERENCE
-        if bits[i] == bits[i] and 0 <= bits[i] < 256 and int(bits[i]) & Status.INACTIVE:
-            # What switched the controller off is not among the inputs: taken as recorded.
-            interval, reasons = 0.0, reasons | Status.INACTIVE
-        dt.append(interval)
-        status.append(float(reasons))
-    return Decided(x_d, dt, np.array(status, dtype=float), first | follows, carried)
+    dt = np.array([accepted_interval(before, now, period) for before, now in zip(
+        earlier.tolist(), stamp.tolist(), strict=True)], dtype=float)
+    dt = np.where(first, period, np.where(follows, dt, told))
+    status = np.where(dt > 0.0, 0, int(Status.BAD_INTERVAL)) + late * int(Status.STALE_REFERENCE)
+    # What switched the controller off is not among the inputs: taken as recorded.
+    sane = np.where((bits >= 0.0) & (bits < 256.0), bits, 0.0).astype(np.int64)
+    inactive = sane & int(Status.INACTIVE)
+    dt[late | (inactive > 0)] = 0.0
+    return Decided(x_d, dt.tolist(), (status + inactive).astype(float), first | follows, carried)
 
 
 def column(channel: Channel | None, label: str, rows: Integers) -> Array:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from dz_ros.analysis.audit_samples import by_stamp, rows_with_seq, Samples, starts
 from dz_ros.analysis.audit_spans import Part
 from dz_ros.core.dataset import Channel, RunData
+from dz_ros.core.records import Status
 
 Integers = NDArray[np.int64]
 
@@ -106,6 +107,19 @@ def reference_notes(run: RunData, samples: Samples,
         text += (f'; in {np.count_nonzero(early)} of these cases the one meant for it had been '
                  'published before the command, but had not reached the controller')
     return [], [text]
+
+
+def frozen_notes(run: RunData, samples: Samples) -> list[str]:
+    """Return a line for each recorded reason for which adaptation did not advance."""
+    terms = run.channels.get('terms')
+    rows = samples.terms[samples.terms >= 0]
+    if terms is None or not len(rows):
+        return []
+    status, seq = terms['status'][rows], samples.seq[samples.terms >= 0]
+    bits = np.where((status >= 0.0) & (status < 256.0), status, 0.0).astype(np.int64)
+    return [f'adaptation was frozen in {np.count_nonzero(bits & flag)} sample(s), first in seq '
+            f'{int(seq[((bits & flag) > 0).argmax()])}: {str(flag.name).lower().replace("_", " ")}'
+            for flag in Status if (bits & flag).any()]
 
 
 def _stretches(channel: Channel) -> list[Integers]:

@@ -182,22 +182,25 @@ def _first_rows(keys: Integers, own: Integers, rows: Integers, channel: Channel 
 def _inputs(run: RunData, command: Integers, terms: Integers) -> tuple[Integers, Integers, Array]:
     """Return (row of the state, row of the reference, stamp of the state) of every step."""
     none = np.full(len(command), -1, dtype=np.int64)
-    echo, stamp = np.full(len(command), np.nan), np.full(len(command), np.nan)
-    reference_seq = np.full(len(command), np.nan)
+    stamp, reference_seq = np.full(len(command), np.nan), np.full(len(command), np.nan)
     time = np.zeros(len(command), dtype=np.int64)
-    # The terms answer last, so theirs count: they name the reference as well.
+    state = none.copy()
+    states, references = run.channels.get('state'), run.channels.get('reference')
+    index = Index(states) if states is not None and len(states) else None
     for name, rows, at in (('command', command, 'echo_stamp'), ('terms', terms, 'stamp')):
         channel = run.channels.get(name)
-        if channel is None:
+        if channel is None or not len(channel):
             continue
-        there = rows >= 0
-        echo[there] = channel['echo_seq'][rows[there]]
-        stamp[there] = channel[at][rows[there]]
-        time[there] = channel.log_time[rows[there]]
+        there = np.flatnonzero(rows >= 0)
+        own = rows[there]
+        stamp[there], time[there] = channel[at][own], channel.log_time[own]
         if name == 'terms':
-            reference_seq[there] = channel['reference_seq'][rows[there]]
-    states, references = run.channels.get('state'), run.channels.get('reference')
-    state = none if states is None else Index(states).find(echo, stamp, time)
+            reference_seq[there] = channel['reference_seq'][own]
+        if index is not None and states is not None:
+            named = index.find(channel['echo_seq'][own], stamp[there], time[there])
+            # Terms and command name the same state; where not, the one of the right stamp counts.
+            wrong = (named < 0) | (states['stamp'][named] != stamp[there])
+            state[there] = np.where(wrong & (state[there] >= 0), state[there], named)
     if states is not None and len(states):
         stamp = np.where(state >= 0, states['stamp'][state], stamp)
     if references is None:

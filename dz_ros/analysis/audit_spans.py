@@ -160,10 +160,10 @@ def _part(run: RunData, flat: Mapping[str, Any], configuration: Configuration | 
             problem = f'its configuration cannot be used here: {error}'
     if configuration is not None:
         problem = _unfit(run, configuration)
-        if memory is not None and len(memory) != len(configuration.law.initial_memory()):
-            problem = (f'the law {configuration.law.name} of this version keeps '
-                       f'{len(configuration.law.initial_memory())} numbers from sample to '
-                       f'sample, the one recorded {len(memory)}')
+        size = len(configuration.law.initial_memory())
+        if not problem and memory is not None and len(memory) != size:
+            problem = (f'the law {configuration.law.name} of this version keeps {size} numbers '
+                       f'from sample to sample, the one recorded {len(memory)}')
     if problem:
         configuration = None
     said = Span(span.start, span.first, span.law, span.version, span.source, problem)

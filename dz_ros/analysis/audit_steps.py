@@ -2,12 +2,13 @@
 
 Each step starts from the memory that its own signals tell; that this is the memory which the step
 before left is compared apart. So one wrong number does not spoil the rest of the run. Where a step
-fits what the step before left and not what its signals tell, the signals are what is wrong.
+agrees better with what the step before left than with what its signals tell, the signals are what
+is wrong.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
 
@@ -120,11 +121,11 @@ def compute(c: Configuration, inputs: Inputs, before: tuple[float, ...] | None) 
             try:
                 regressors(x, plant, y)
                 result = kernel(constants, memory, x_d, x, y, dt, after, buffer)
-                if carried is not None and carried != memory and not _fits(
-                        result, buffer, inputs, i):
+                if carried is not None and carried != memory:
                     again, other = [0.0] * size, list(buffer)
                     second = kernel(constants, carried, x_d, x, y, dt, again, other)
-                    if _fits(second, other, inputs, i):
+                    if _agreement(second, other, again, inputs, i, recall) > _agreement(
+                            result, buffer, after, inputs, i, recall):
                         result, after, buffer, told[i] = second, again, other, carried
             except (ArithmeticError, ValueError) as error:
                 failed[i] = str(error)
@@ -141,8 +142,12 @@ def compute(c: Configuration, inputs: Inputs, before: tuple[float, ...] | None) 
                    np.array(linked, dtype=bool), failed, carried)
 
 
-def _fits(v: float, buffer: Row, inputs: Inputs, i: int) -> bool:
-    """Return whether a computed step is the recorded one, its signals aside."""
+def _agreement(v: float, buffer: Row, after: Row, inputs: Inputs, i: int,
+               recall: Callable[[Row], Row]) -> int:
+    """Return how much of the log agrees with a computed step, its signals aside: 0 … 3."""
     terms, command = inputs.terms[i], inputs.v[i]
-    return (terms is None or list(buffer[:STATUS]) == list(terms)) and (
-        command is None or v == command)
+    following = None
+    if i + 1 < len(inputs.v) and inputs.follows[i + 1]:
+        following = inputs.signals[i + 1]
+    return ((terms is not None and list(buffer[:STATUS]) == list(terms)) + (v == command)
+            + (following is not None and list(recall(following)) == list(after)))

@@ -200,9 +200,3 @@ def dead_zone(view: View, name: str = 'dead_zone') -> Picture | None:
         caption += ' (mean; they drift).' if zone.constants[0] else '.'
     return Picture(name, "The dead-zone's shape", caption,
                    'Scatter plot of w against v, flat between the break points.', figure)
-
-
-def figure_lines(figure: Any) -> dict[str, tuple[Array, Array]]:
-    """Return gid → (x, y) of the last line so named in a figure: what a picture shows."""
-    return {str(item.get_gid()): (np.asarray(item.get_xdata()), np.asarray(item.get_ydata()))
-            for ax in figure.axes for item in ax.lines if item.get_gid()}

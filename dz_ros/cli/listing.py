@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+import re
 
 from dz_ros.core.registry import Registry
 from dz_ros.errors import DzRosError
@@ -50,4 +51,5 @@ def _configurations() -> Iterator[tuple[str, str]]:
             if not line.startswith('#'):
                 break
             words += line.lstrip('#').split()
-        yield name, ' '.join(words).partition('. ')[0].rstrip('.')
+        # A sentence ends before a capital letter; "et al. 2022" goes on.
+        yield name, re.split(r'\.(?: (?=[A-Z])|$)', ' '.join(words))[0]

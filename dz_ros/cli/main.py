@@ -44,7 +44,11 @@ VERBS = {
     ('report',): Verb('report', "make a run's report: figures, timing, table of metrics"),
     ('list',): Verb('listing', 'list plants, laws, trajectories or configurations'),
     ('bag', 'info'): Verb('bag_info', 'say what a recorded run holds'),
+    ('bag', 'replay'): Verb('bag_replay', 'publish a run again, or feed it to a controller'),
     ('bag', 'recover'): Verb('bag_recover', 'make a readable run of one that was cut off'),
+    ('bag', 'audit'): Verb('bag_audit', 'recompute a run and compare it bit for bit'),
+    ('bag', 'compare'): Verb('bag_compare', 'lay runs side by side: metrics and figures'),
+    ('bag', 'whatif'): Verb('bag_whatif', 'run a recorded loop again with something changed'),
 }
 """Words → verb; two words are a noun and its verb, as ``ros2`` groups its own."""
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from dz_ros.core.configuration import Configuration
@@ -12,8 +15,13 @@ ADVICE = ('try a smaller controller.lambda, a larger controller.epsilon, a highe
           'less loop.delay')
 
 
-def simulate_offline(configuration: Configuration) -> Run:
+def simulate_offline(configuration: Configuration,
+                     memory: Sequence[float] | None = None) -> Run:
     """Return the closed loop of a configuration from t = 0 to its duration, all numbers finite.
+
+    Args:
+        configuration: What to run.
+        memory: The law's memory before the first sample; None = its initial one.
 
     Raises:
         ConfigurationError: The configuration has no end.
@@ -24,11 +32,12 @@ def simulate_offline(configuration: Configuration) -> Run:
                                  'a loop off line needs an end: at least one sample interval, '
                                  f'{configuration.loop.period:g} s')
     try:
-        run = simulate(configuration)
+        run = simulate(configuration, memory=memory)
     except (OverflowError, ValueError) as error:
         if isinstance(error, ConfigurationError):
             raise
-        raise _diverged(_first_failing(configuration) * configuration.loop.period) from error
+        sample = _first_failing(configuration, memory)
+        raise _diverged(sample * configuration.loop.period) from error
     for array in (run.x, run.v[:, np.newaxis], run.terms):
         bad = ~np.isfinite(array).all(axis=1)
         if bad.any():
@@ -41,14 +50,15 @@ def _diverged(t: float) -> LoopError:
                      f'{ADVICE}')
 
 
-def _first_failing(configuration: Configuration) -> int:
+def _first_failing(configuration: Configuration, memory: Sequence[float] | None) -> int:
     """Return the first sample that cannot be computed, by bisection on shorter runs."""
     period = configuration.loop.period
     good, bad = 0, configuration.loop.samples
     while bad - good > 1:
         middle = (good + bad) // 2
         try:
-            simulate(configuration.replace(**{'loop.duration': middle * period}))
+            loop = replace(configuration.loop, duration=middle * period)
+            simulate(replace(configuration, loop=loop), memory=memory)
         except (OverflowError, ValueError):
             bad = middle
         else:

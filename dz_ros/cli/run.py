@@ -24,7 +24,7 @@ from dz_ros.errors import (
     RunExistsError,
 )
 from dz_ros.files import load_configuration, write_parameters
-from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
+from dz_ros.runtime.claim import claim, ClaimedError, domain, domain_topic
 
 ORDER = (('plant_node',), ('trajectory_node', 'controller_node'), ('recorder_node',))
 """The order in which nodes are ended: whoever drives the loop first, whoever records it last."""
@@ -94,13 +94,17 @@ def _check_free(namespace: str) -> None:
 
     Raises:
         ConfigurationError: Not a namespace.
-        LoopError: Another one does.
+        LoopError: Another one does, or there is no such domain.
     """
     name = namespace.strip('/')
     if namespace and not all(part.isidentifier() for part in name.split('/')):
         raise ConfigurationError('--namespace', namespace,
                                  'must be names of letters, digits and _ separated by /')
     topic = f'/{name}/state' if name else '/state'
+    try:
+        domain()
+    except ValueError as error:
+        raise LoopError(str(error)) from None
     try:
         claim(domain_topic(topic)).close()
     except ClaimedError as error:

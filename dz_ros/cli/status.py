@@ -31,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Show until interrupted, or once."""
     heard: dict[str, dict[str, Any]] = {}
+    first: list[float] = []
     terminal = sys.stdout.isatty()
     with operator('status') as process:
         def read() -> None:
@@ -38,6 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
             for line in process.stdout:
                 status = json.loads(line)
                 heard[status['node']] = {**status, 'at': time.monotonic()}
+                first.append(heard[status['node']]['at'])
 
         reader = threading.Thread(target=read, daemon=True)
         reader.start()
@@ -46,8 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
         while process.poll() is None:
             time.sleep(0.1)
             now = time.monotonic()
-            first = min((item['at'] for item in heard.values()), default=now)
-            if arguments.once and (now - first > GONE or (not heard and now > until)):
+            if arguments.once and (now - first[0] > GONE if first else now > until):
                 break
             if not arguments.once and now - shown >= 1.0:
                 shown = now

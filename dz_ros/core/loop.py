@@ -9,7 +9,7 @@ command), over [t_k, t_{k+1}] while the plant is integrated in continuous time.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -130,13 +130,15 @@ def measurement_noise(configuration: Configuration, samples: int) -> Array:
     return np.asarray(generator.standard_normal((samples, order)) * sigma)
 
 
-def simulate(configuration: Configuration, loop: Loop | None = None) -> Run:
+def simulate(configuration: Configuration, loop: Loop | None = None,
+             memory: Sequence[float] | None = None) -> Run:
     """Return the closed loop of a configuration, from t = 0 to its duration.
 
     Args:
         configuration: What to run.
         loop: A loop compiled for this combination of law, plant and trajectory (see
             `dz_ros.core.compiled`), which works on arrays; None = plain Python, on lists.
+        memory: The law's memory before the first sample; None = its initial one.
 
     Raises:
         OverflowError, ValueError: The loop diverged beyond what its functions can evaluate. One
@@ -146,7 +148,7 @@ def simulate(configuration: Configuration, loop: Loop | None = None) -> Run:
     count = c.loop.samples + 1
     n, r = c.plant.order, c.plant.regressor_count
     width = STATUS + 1 + len(c.law.signal_names)
-    memory = c.law.initial_memory()
+    memory = c.law.initial_memory() if memory is None else memory
     columns = (n, n, n + 1, None, None, 3, width)  # None: one number a sample, no row
     numbers = (c.plant.constants, c.dead_zone.constants, c.trajectory.constants, c.law.constants,
                c.x0, np.zeros(r), np.zeros(n + 1), memory, np.zeros(len(memory)),

@@ -10,6 +10,7 @@ n: order of the plant, λ [1/s], ε: half-width of the boundary layer, unit of s
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
 
 
@@ -30,6 +31,28 @@ def error_weights(lambda_: float, order: int) -> tuple[float, ...]:
 def feed_forward_weights(lambda_: float, order: int) -> tuple[float, ...]:
     """Return Λ_v of (17), shape (order,)."""
     return (0.0, *error_weights(lambda_, order)[:-1])
+
+
+def filtered_error(c: Sequence[float], at: int, x_d: Sequence[float],
+                   x: Sequence[float]) -> float:
+    """Return s = Λᵀ x̃, (8); Λ stands in c from index `at` on."""
+    s = 0.0
+    for i in range(len(x)):
+        s += c[at + i] * (x[i] - x_d[i])
+    return s
+
+
+def feed_forward(c: Sequence[float], at: int, x_d: Sequence[float], x: Sequence[float]) -> float:
+    """Return u_fd = x_d^(n) − Λ_vᵀ x̃, (17); Λ_v stands in c from index `at` on."""
+    u_fd = x_d[len(x)]
+    for i in range(len(x)):
+        u_fd -= c[at + i] * (x[i] - x_d[i])
+    return u_fd
+
+
+def outside_layer(s: float, epsilon: float) -> float:
+    """Return s_ε = s − ε sat(s/ε), (11): the distance of s from the layer, with its sign."""
+    return s - epsilon * sat(s / epsilon)
 
 
 def guaranteed_bounds(lambda_: float, epsilon: float, order: int) -> tuple[float, ...]:

@@ -22,6 +22,8 @@ from dz_ros.version import version
 
 SPIN_LIMIT = 0.05
 """Longest wait for anything [s]; a signal is noticed within it."""
+DELIVERY = 4.0
+"""Longest wait for listeners to have what was published [s]; DDS repairs losses every 3."""
 PATIENCE = 5.0
 """A node that waits for its peers says so after each of these [s]."""
 
@@ -190,9 +192,8 @@ class LoopNode(Node):
         self._executor.spin_once(timeout_sec=min(limit, SPIN_LIMIT))
 
     def flush(self) -> None:
-        """Wait until what was published has reached its reliable listeners, 1 s at most each."""
-        for publisher in (self._events, *(item for item, _ in self._records.values())):
-            publisher.wait_for_all_acked(Duration(seconds=1.0))
+        """Wait until what was published has reached its reliable listeners."""
+        deliver(self._events, *(publisher for publisher, _ in self._records.values()))
 
     def run(self) -> None:
         """Do the node's work until told to end; serve callbacks unless overridden."""
@@ -206,6 +207,14 @@ class LoopNode(Node):
         self.destroy_node()
         for held in self._claims:
             held.close()
+
+
+def deliver(*publishers: Publisher) -> None:
+    """Wait until listeners have everything that was published, but not for ever."""
+    give_up = time.monotonic() + DELIVERY
+    for publisher in publishers:
+        left = max(give_up - time.monotonic(), 0.0)
+        publisher.wait_for_all_acked(Duration(seconds=left))
 
 
 def _executor() -> Any:

@@ -14,11 +14,13 @@ from types import FrameType
 from typing import Any
 
 from dz_ros.errors import DzRosError, NO_RCLPY
+from dz_ros.runtime.claim import domain
 from dz_ros.runtime.process import settle
 
 NODES = {'plant_node': 'PlantNode', 'controller_node': 'ControllerNode',
          'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode',
-         'replay_node': 'ReplayNode', 'operator_node': 'OperatorNode'}
+         'replay_node': 'ReplayNode', 'feed_node': 'FeedNode',
+         'operator_node': 'OperatorNode'}
 """Executable → class in the module of the same name."""
 
 
@@ -30,6 +32,10 @@ def run_node(name: str) -> int:
         from rclpy.signals import SignalHandlerOptions
     except ImportError as error:
         return _complain(name, f'{NO_RCLPY} ({error})')
+    try:
+        domain()
+    except ValueError as error:
+        return _complain(name, str(error))
     # rcl logs what it then raises as well; one line is enough.
     set_logger_level('rcl', LoggingSeverity.FATAL)
     try:

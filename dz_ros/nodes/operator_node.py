@@ -102,7 +102,10 @@ class OperatorNode(Node):
                          'values': {item.key: item.value for item in status.values},
                          'heard': time.time()})
 
-    @staticmethod
-    def _write(line: dict[str, Any]) -> None:
-        sys.stdout.write(json.dumps(line) + '\n')
-        sys.stdout.flush()
+    def _write(self, line: dict[str, Any]) -> None:
+        """Write a line; end where nobody reads it any more."""
+        try:
+            sys.stdout.write(json.dumps(line) + '\n')
+            sys.stdout.flush()
+        except BrokenPipeError:
+            self.stopping = True

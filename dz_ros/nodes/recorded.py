@@ -21,9 +21,11 @@ _NUMBERS = {'history': {1: 'keep_last', 2: 'keep_all'},
 def message_class(type_name: str) -> Any:
     """Return the class of ``package/msg/Type``; None where that package is not installed."""
     package, _, name = type_name.replace('/msg/', '/').partition('/')
+    if not package.isidentifier():
+        return None
     try:
         return getattr(importlib.import_module(f'{package}.msg'), name, None)
-    except (ImportError, ValueError):
+    except ImportError:
         return None
 
 

@@ -12,13 +12,12 @@ import time
 from typing import Any
 
 from rcl_interfaces.msg import ParameterDescriptor
-from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
 from dz_ros.errors import ConfigurationError, LoopError, RecordingError
-from dz_ros.nodes.base import _executor, PATIENCE, SPIN_LIMIT
+from dz_ros.nodes.base import _executor, deliver, PATIENCE, SPIN_LIMIT
 from dz_ros.nodes.recorded import message_class, offered_as_recorded
 from dz_ros.nodes.steering import Steering
 from dz_ros.recording.channels import EVENTS
@@ -59,7 +58,7 @@ class ReplayNode(Node):
         self._path = Path(path).expanduser()
         wanted = self._given('topics', [''], 'topics to play; none = all')
         awaited = self._given('wait_for', [''], 'topics that must have a listener before the '
-                              'first message')
+                              'first message; TOPIC=NODE: that node')
         self._clock_rate = self._given('clock', 0.0, 'publish the time of the recording on /clock '
                                        'so often; 0 = never [Hz]')
         if not 0.0 <= self._clock_rate <= 1000.0:
@@ -71,8 +70,9 @@ class ReplayNode(Node):
             if (publisher := self._offer(recorded[name])) is not None}
         if not self._outputs:
             raise RecordingError(f'{self._path} holds no topic that could be published')
-        self._awaited = [self._outputs[name] for name in self._chosen(self._outputs, awaited)
-                         ] if any(awaited) else []
+        self._awaited = [(self._outputs[name], node) for item in awaited if item
+                         for topic, _, node in [item.partition('=')]
+                         for name in self._chosen(self._outputs, [topic])]
         self._player = Player(
             self._batches, topics=self._outputs,
             rate=self._given('rate', 1.0, 'how many times faster than recorded; may be changed '
@@ -102,16 +102,20 @@ class ReplayNode(Node):
         return value
 
     def _chosen(self, known: Any, names: list[str]) -> list[str]:
-        """Return which topics are meant; names may lack their leading slash.
+        """Return which topics are meant; names may lack their namespace.
 
         Raises:
-            ConfigurationError: There is no such topic.
+            ConfigurationError: There is no such topic, or several.
         """
-        wanted = ['/' + name.strip('/') for name in names if name]
-        for name in wanted:
-            if name not in known:
-                raise ConfigurationError('topics', name, f'{self._path} has {", ".join(known)}')
-        return wanted or list(known)
+        found = []
+        for name in filter(None, names):
+            end = f'/{name.strip("/")}'
+            matches = [item for item in known if item == end] or [
+                item for item in known if item.endswith(end)]
+            if len(matches) != 1:
+                raise ConfigurationError('topic', name, f'{self._path} has {", ".join(known)}')
+            found += matches
+        return found or list(known)
 
     def _offer(self, topic: Topic) -> Publisher | None:
         """Return the publisher of a recorded topic; None where it cannot be had, which is logged.
@@ -184,8 +188,7 @@ class ReplayNode(Node):
 
     def close(self) -> None:
         """Let what was published reach its listeners, then release everything."""
-        for publisher in getattr(self, '_outputs', {}).values():
-            publisher.wait_for_all_acked(Duration(seconds=1.0))
+        deliver(*self._outputs.values())
         self._executor.remove_node(self)
         self.destroy_node()
         for held in self._claims:
@@ -195,14 +198,21 @@ class ReplayNode(Node):
         """Wait until somebody listens to the topics named by the parameter `wait_for`."""
         said = time.monotonic()
         while not self.stopping:
-            missing = [item.topic_name for item in self._awaited
-                       if not item.get_subscription_count()]
+            missing = [f'{node or "somebody"} to listen to {publisher.topic_name}'
+                       for publisher, node in self._awaited if not self._heard(publisher, node)]
             if not missing:
                 return
             if time.monotonic() - said > PATIENCE:
-                self.get_logger().info(f'waiting for somebody to listen to {", ".join(missing)}')
+                self.get_logger().info(f'waiting for {", ".join(missing)}')
                 said = time.monotonic()
             self._executor.spin_once(timeout_sec=0.01)
+
+    def _heard(self, publisher: Publisher, node: str) -> bool:
+        """Return whether a topic has a listener, or this one."""
+        if not node:
+            return bool(publisher.get_subscription_count() > 0)
+        return any(info.node_name == node
+                   for info in self.get_subscriptions_info_by_topic(publisher.topic_name))
 
     def _publish(self, message: Message) -> None:
         """Publish a message as it was recorded."""

@@ -12,6 +12,9 @@ import os
 import socket
 import struct
 
+MAX_DOMAIN = 232
+"""The largest domain whose UDP ports exist."""
+
 
 class ClaimedError(RuntimeError):
     """Another process holds the claim.
@@ -43,9 +46,22 @@ def claim(name: str) -> socket.socket:
     return holder
 
 
+def domain() -> int:
+    """Return the ROS domain of this process.
+
+    Raises:
+        ValueError: ROS_DOMAIN_ID is not a domain; the message is one line for users.
+    """
+    given = os.environ.get('ROS_DOMAIN_ID') or '0'
+    if not (given.isascii() and given.isdigit() and int(given) <= MAX_DOMAIN):
+        raise ValueError(f'ROS_DOMAIN_ID = {given!r}: must be a whole number from 0 to '
+                         f'{MAX_DOMAIN} (0 to 101 have free ports on every system)')
+    return int(given)
+
+
 def domain_topic(topic: str) -> str:
     """Return the name to claim for a fully qualified topic in this process's ROS domain."""
-    return f'{os.environ.get("ROS_DOMAIN_ID") or "0"}{topic}'
+    return f'{domain()}{topic}'
 
 
 def _holder(name: str) -> int:

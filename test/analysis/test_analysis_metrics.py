@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+import itertools
 import json
 import math
 from pathlib import Path
 
-from hypothesis import given, strategies as st
+from hypothesis import given, HealthCheck, settings
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
@@ -18,6 +20,8 @@ from dz_ros.analysis.view import View
 from dz_ros.core.dataset import Channel, RunData
 from dz_ros.core.records import Command, Reference, State
 from dz_ros.errors import ConfigurationError
+
+UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 DATA = Path(__file__).parents[1] / 'data'
 
@@ -78,7 +82,7 @@ def test_a_run_of_another_program_gives_what_plain_loops_give():
     assert m.v_rms == pytest.approx(
         math.sqrt(math.fsum(u * u for _, _, u in last) / len(last)), rel=1e-12)
     assert m.v_variation == pytest.approx(
-        math.fsum(abs(b[2] - a[2]) for a, b in zip(last, last[1:], strict=False)) / 10.0)
+        math.fsum(abs(b[2] - a[2]) for a, b in itertools.pairwise(last)) / 10.0)
     assert m.s_over_epsilon_max == pytest.approx(max(abs(e + f) for e, f, _ in last) / 0.02)
     assert np.allclose(view.s, table[:, 8], atol=1e-10)
     outside = [i for i in range(len(k)) if abs(x[i] - 2.5 * math.sin(t[i])) >= 0.05]
@@ -130,6 +134,7 @@ def test_total_variation_of_a_sinusoid_is_four_amplitudes_a_period():
     assert variation(t[:1], t[:1]) is None
 
 
+@UNTIMED
 @given(st.lists(st.floats(-1.0, 1.0, allow_nan=False), min_size=1, max_size=30),
        st.floats(0.01, 0.9), st.integers(0, 10))
 def test_settling_is_the_first_instant_after_the_last_one_outside(errors, tolerance, since):
@@ -178,7 +183,7 @@ def test_window_by_default_and_given(simulated):
 
 @pytest.mark.parametrize('window', [(5.0, 5.0), (6.0, 5.0), (30.0, 40.0), (math.nan, 5.0)])
 def test_a_window_that_is_none_is_refused(simulated, window):
-    with pytest.raises(ConfigurationError, match='window = .*the run goes from 0 to 20 s'):
+    with pytest.raises(ConfigurationError, match=r'window = .*the run goes from 0 to 20 s'):
         View.of(simulated(), window=window)
 
 
@@ -206,6 +211,7 @@ def test_metrics_are_json_without_nan_and_described(minute, simulated):
         assert set(metadata) == {'label', 'unit', 'sentence'}
 
 
+@UNTIMED
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(),
                     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)))
 def test_jsonable_leaves_no_nan(value):

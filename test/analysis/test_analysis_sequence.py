@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 
-from hypothesis import given, strategies as st
+from hypothesis import given, HealthCheck, settings
+from hypothesis import strategies as st
 import numpy as np
 
 from dz_ros.analysis.sequence import count_sequence, first_of_each, longest_stretch
+
+UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 SEQS = st.lists(st.one_of(st.integers(-5, 30).map(float),
                           st.sampled_from([math.nan, math.inf, 0.5, 1e300])), max_size=40)
 
 
+@UNTIMED
 @given(SEQS)
 def test_counts_equal_a_plain_loop(seqs):
     found = count_sequence(np.array(seqs, dtype=float))
@@ -32,6 +36,7 @@ def test_counts_equal_a_plain_loop(seqs):
     assert (found.first, found.last) == ((min(seen), max(seen)) if seen else (None, None))
 
 
+@UNTIMED
 @given(SEQS)
 def test_first_of_each_names_the_row_where_a_seq_came_first(seqs):
     distinct, rows = first_of_each(np.array(seqs, dtype=float))
@@ -52,7 +57,7 @@ def test_the_longest_stretch_between_restarts_is_taken_of_every_channel(
     run = over_topics(simulated({'loop.duration': 2.0}))
     rows = np.concatenate([np.arange(100), np.arange(401)])
     times = np.arange(501) * 5_000_000
-    again = keep(run, **{name: rows for name in run.channels})
+    again = keep(run, **dict.fromkeys(run.channels, rows))
     for channel in again.channels.values():
         channel.log_time[:] = times
     found, restarts = longest_stretch(again)

@@ -45,6 +45,7 @@ def test_gives_nothing_inside_the_band(share, b_r, b_l):
 def test_ends_of_the_band_and_the_paper_s_numbers():
     zone = DeadZone()
     assert (zone(0.5), zone(-0.6), zone(0.0)) == (0.0, 0.0, 0.0)
+    assert (zone(0.51), zone(-0.61)) == (pytest.approx(0.01), pytest.approx(-0.01))
     assert zone(1.5) == 1.0
     assert zone(-1.6) == -1.0
     assert DeadZone(m_r=1.25, m_l=0.5)(2.5) == 2.5

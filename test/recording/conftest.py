@@ -7,11 +7,15 @@ import itertools
 import math
 from pathlib import Path
 
+from hypothesis import settings
 import numpy as np
 import pytest
 
 from dz_ros.core.dataset import Channel, RunData
 from dz_ros.core.records import Command, Reference, State, Terms, Truth
+
+settings.register_profile('recording', deadline=None)     # no verdict hangs on time
+settings.load_profile('recording')
 
 START = 1_700_000_000_000_000_000
 PERIOD = 5_000_000

@@ -21,7 +21,7 @@ from dz_ros.recording.recover import recover
 from dz_ros.recording.save import save_run
 from dz_ros.recording.writer import RunWriter
 
-MANY = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None,
+MANY = settings(suppress_health_check=[HealthCheck.function_scoped_fixture],
                 max_examples=60)
 
 

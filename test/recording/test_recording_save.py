@@ -15,7 +15,7 @@ from dz_ros.recording.mcap_file import McapFile
 from dz_ros.recording.reader import read_run
 from dz_ros.recording.save import save_run
 
-SLOW = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None,
+SLOW = settings(suppress_health_check=[HealthCheck.function_scoped_fixture],
                 max_examples=25)
 TIMES = st.integers(0, 2**62)
 

@@ -19,7 +19,7 @@ from dz_ros.recording.writer import CHUNK_SECONDS, RunWriter
 ARRAY, TEXT = TYPES
 START = 1_700_000_000_000_000_000
 STATE = ArrayCodec(('seq', 'stamp', 'x0'))
-SLOW = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None,
+SLOW = settings(suppress_health_check=[HealthCheck.function_scoped_fixture],
                 max_examples=25)
 
 

@@ -73,6 +73,13 @@ def test_claims_of_different_domains_do_not_meet(monkeypatch):
     assert domain_topic('/ns/state') == '0/ns/state'
 
 
+@pytest.mark.parametrize('given', ['-1', '233', 'abc', '1.0', '²'])
+def test_a_domain_that_does_not_exist_is_named(monkeypatch, given):
+    monkeypatch.setenv('ROS_DOMAIN_ID', given)
+    with pytest.raises(ValueError, match=r'ROS_DOMAIN_ID = .* 0 to 232'):
+        domain_topic('/state')
+
+
 def test_settling_keeps_the_collector_out():
     try:
         settle()

@@ -1,9 +1,20 @@
 """Control laws, one a file; `LAWS` finds them by name."""
 
+from dz_ros.core.laws.adaptive import Adaptive
+from dz_ros.core.laws.adaptive_inverse import AdaptiveInverse
 from dz_ros.core.laws.base import Law
+from dz_ros.core.laws.exact_inverse import ExactInverse
+from dz_ros.core.laws.extended import Extended
+from dz_ros.core.laws.fuzzy import Fuzzy
+from dz_ros.core.laws.neural import Neural
 from dz_ros.core.laws.pd import Pd
+from dz_ros.core.laws.pid import Pid
+from dz_ros.core.laws.robust import Robust
+from dz_ros.core.laws.sliding import Sliding
+from dz_ros.core.laws.sliding_integral import SlidingIntegral
 from dz_ros.core.laws.wang2004 import Wang2004
 from dz_ros.core.registry import Registry
 
-LAWS = Registry('law', 'controller.law', 'dz_ros.laws', Law,
-                {item.name: item for item in (Wang2004, Pd)})
+LAWS = Registry('law', 'controller.law', 'dz_ros.laws', Law, {item.name: item for item in (
+    Robust, Wang2004, Extended, Pd, Pid, Adaptive, Sliding, SlidingIntegral, ExactInverse,
+    AdaptiveInverse, Fuzzy, Neural)})

@@ -17,11 +17,60 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
 from dz_ros.core.records import Command, Reference, State, STATUS, Status, Terms
 from dz_ros.errors import ConfigurationError
+
+
+def per_regressor(values: Sequence[float], count: int, key: str) -> tuple[float, ...]:
+    """Return `count` numbers, one for each regressor, from as many or from one for all.
+
+    Raises:
+        ConfigurationError: Neither one number nor `count`.
+    """
+    if len(values) == count:
+        return tuple(values)
+    if len(values) == 1:
+        return tuple(values) * count
+    raise ConfigurationError(f'controller.{key}', list(values),
+                             f'must have 1 or {count} numbers, one for each regressor')
+
+
+@dataclass(frozen=True)
+class Design:
+    """What the design rules must know of a law that is built around s (`Law.design`).
+
+    Attributes:
+        lambda_: λ of the filtered error [1/s].
+        k_d: Damping gain [actuator unit / unit of s].
+        k: Robust gain, the most the switching term gives [actuator unit].
+        epsilon: Half-width of the boundary layer [unit of s]; 0 = no layer.
+        gain: Slope −∂v/∂s inside the layer [actuator unit / unit of s].
+        lead: Further slope of v against x^(n−1), Λ_v,n φ̂(0) [actuator unit / unit of s].
+        target: Half-width of the set that the theorem lets s converge to [unit of s]; 0 = none.
+        reserve: Share of k spent on something else than d/m, as an integral's authority ρ_I
+            [actuator unit].
+        integral_rate: r_I of an integral of s inside the layer [actuator unit / unit of s / s].
+        inverse: True where the law compensates the dead-zone itself, so that k need not.
+        theta: Prior bounds of θ̂, (lowest, highest) of each; empty = not projected.
+        phi: Prior bounds of φ̂; empty = not projected.
+    """
+
+    lambda_: float
+    k_d: float
+    k: float
+    epsilon: float
+    gain: float
+    lead: float
+    target: float = 0.0
+    reserve: float = 0.0
+    integral_rate: float = 0.0
+    inverse: bool = False
+    theta: tuple[tuple[float, float], ...] = ()
+    phi: tuple[float, ...] = ()
 
 
 class Law(ABC):
@@ -68,6 +117,15 @@ class Law(ABC):
     @abstractmethod
     def signal_names(self) -> tuple[str, ...]:
         """Names of what `kernel` writes after the status; θ̂_i are theta1…, φ̂ is phi."""
+
+    @property
+    def design(self) -> Design | None:
+        """What the design rules must know; None = the law is not built around s, or not known."""
+        return None
+
+    def reset_guard(self, memory: Sequence[float]) -> tuple[float, ...]:
+        """Return the memory with a latched guard released; unchanged where a law has none."""
+        return tuple(memory)
 
     @abstractmethod
     def initial_memory(self) -> tuple[float, ...]:

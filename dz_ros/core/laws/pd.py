@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from dz_ros.core.laws.base import Law
+from dz_ros.core.laws.base import Design, Law
 from dz_ros.core.records import STATUS
 from dz_ros.core.schema import parameter
 from dz_ros.core.tracking import error_weights
@@ -45,6 +45,11 @@ class Pd(Law):
     def signal_names(self) -> tuple[str, ...]:
         """None: nothing is estimated."""
         return ()
+
+    @property
+    def design(self) -> Design:
+        """What the design rules need: no layer, no robust term."""
+        return Design(self.gains.lambda_, self.gains.k_d, 0.0, 0.0, self.gains.k_d, 0.0)
 
     def initial_memory(self) -> tuple[float, ...]:
         """Return the empty memory."""

@@ -1,4 +1,4 @@
-"""The robust adaptive law of Wang, Su and Hong (2004), any order n, any number r of regressors.
+"""The robust adaptive law of Wang, Su and Hong [wang2004], any order n, any number of regressors.
 
     s    = Λᵀ x̃                                                            (8)
     u_fd = x_d^(n) − Λ_vᵀ x̃                                                (17)
@@ -19,13 +19,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-from dz_ros.core.laws.base import Law
+from dz_ros.core.boundary_layer import layer_gain
+from dz_ros.core.laws.base import Design, Law, per_regressor
 from dz_ros.core.records import STATUS
 from dz_ros.core.schema import parameter
-from dz_ros.core.tracking import error_weights, feed_forward_weights, sat
-from dz_ros.errors import ConfigurationError
+from dz_ros.core.tracking import (
+    error_weights,
+    feed_forward,
+    feed_forward_weights,
+    filtered_error,
+    sat,
+)
 
 
 @dataclass(frozen=True)
@@ -46,18 +52,52 @@ class Wang2004Gains:
     phi_0: float = parameter(0.85, '1', 'initial φ̂')
 
 
-def initial_theta(gains: Any, count: int) -> tuple[float, ...]:
-    """Return θ̂(0), shape (count,).
+def adaptive_design(gains: Any, order: int, k: float, epsilon: float) -> Design:
+    """Return the design of a law built around (14) with robust gain k and layer ε."""
+    lead = feed_forward_weights(gains.lambda_, order)[-1] * gains.phi_0
+    return Design(gains.lambda_, gains.k_d, k, epsilon, layer_gain(gains.k_d, k, epsilon), lead,
+                  epsilon)
 
-    Raises:
-        ConfigurationError: theta_0 has neither one entry nor `count`.
+
+def control(k_d: float, k: float, epsilon: float, estimates: Sequence[float], s: float,
+            u_fd: float, y: Sequence[float], terms: Any) -> float:
+    """Return v of (14); write s, s_ε, u_fd and its four parts into terms, 0 for the rest.
+
+    Args:
+        k_d: Damping gain.
+        k: Robust gain k*.
+        epsilon: Half-width ε of the layer.
+        estimates: θ̂_1 … θ̂_r, φ̂ (and what follows).
+        s: Filtered error (8).
+        u_fd: Feed-forward (17).
+        y: Y(x), shape (r,).
+        terms: Buffer for `dz_ros.core.records.TERM_NAMES`.
     """
-    if len(gains.theta_0) == count:
-        return tuple(gains.theta_0)
-    if len(gains.theta_0) == 1:
-        return tuple(gains.theta_0) * count
-    raise ConfigurationError('controller.theta_0', list(gains.theta_0),
-                             f'must have 1 or {count} numbers, one for each regressor')
+    saturated = sat(s / epsilon)
+    v_damping = -k_d * s
+    v_feed_forward = estimates[len(y)] * u_fd
+    v_regressor = 0.0
+    for i in range(len(y)):
+        v_regressor += y[i] * estimates[i]
+    v_robust = -k * saturated
+    terms[0] = s
+    terms[1] = s - epsilon * saturated
+    terms[2] = u_fd
+    terms[3] = v_damping
+    terms[4] = v_feed_forward
+    terms[5] = v_regressor
+    terms[6] = v_robust
+    terms[7] = 0.0
+    return v_damping + v_feed_forward + v_regressor + v_robust
+
+
+def adapt(gamma: float, eta: float, estimates: Sequence[float], y: Sequence[float], u_fd: float,
+          s_eps: float, dt: float, after: Any) -> None:
+    """Write θ̂, φ̂ after one Euler step of (15), (16) over dt [s] into `after`."""
+    r = len(y)
+    for i in range(r):
+        after[i] = estimates[i] - dt * gamma * y[i] * s_eps
+    after[r] = estimates[r] - dt * eta * u_fd * s_eps
 
 
 class Wang2004(Law):
@@ -65,12 +105,12 @@ class Wang2004(Law):
 
     name = 'wang2004'
     summary = 'robust adaptive law (14)-(16) of Wang, Su and Hong 2004'
-    Gains = Wang2004Gains
+    Gains: ClassVar[type] = Wang2004Gains
 
     def __init__(self, gains: Any = None, order: int = 2, regressor_count: int = 2,
                  period: float = 0.005) -> None:
         super().__init__(gains, order, regressor_count, period)
-        self._theta_0 = initial_theta(self.gains, regressor_count)
+        self._theta_0 = per_regressor(self.gains.theta_0, regressor_count, 'theta_0')
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -93,40 +133,22 @@ class Wang2004(Law):
         """θ̂_k, φ̂_k are published as they were used."""
         return tuple(signals)
 
+    @property
+    def design(self) -> Design:
+        """What the design rules need."""
+        return adaptive_design(self.gains, self.order, self.gains.k_star, self.gains.epsilon)
+
     @staticmethod
     def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],
                x: Sequence[float], y: Sequence[float], dt: float, new_memory: Any,
                terms: Any) -> float:
         """One sample of (8)–(17), in the binding order of operations."""
         n = len(x)
-        r = len(y)
-        s = 0.0
-        u_fd = x_d[n]
-        for i in range(n):
-            error = x[i] - x_d[i]
-            s += c[5 + i] * error
-            u_fd -= c[5 + n + i] * error
-        saturated = sat(s / c[2])
-        s_eps = s - c[2] * saturated
-        phi = memory[r]
-        v_damping = -c[0] * s
-        v_feed_forward = phi * u_fd
-        v_regressor = 0.0
-        for i in range(r):
-            v_regressor += y[i] * memory[i]
-        v_robust = -c[1] * saturated
-        for i in range(r):
-            new_memory[i] = memory[i] - dt * c[3] * y[i] * s_eps
+        s = filtered_error(c, 5, x_d, x)
+        u_fd = feed_forward(c, 5 + n, x_d, x)
+        v = control(c[0], c[1], c[2], memory, s, u_fd, y, terms)
+        adapt(c[3], c[4], memory, y, u_fd, terms[1], dt, new_memory)
+        for i in range(len(memory)):
             terms[STATUS + 1 + i] = memory[i]
-        new_memory[r] = phi - dt * c[4] * u_fd * s_eps
-        terms[STATUS + 1 + r] = phi
-        terms[0] = s
-        terms[1] = s_eps
-        terms[2] = u_fd
-        terms[3] = v_damping
-        terms[4] = v_feed_forward
-        terms[5] = v_regressor
-        terms[6] = v_robust
-        terms[7] = 0.0
         terms[STATUS] = 0.0
-        return v_damping + v_feed_forward + v_regressor + v_robust
+        return v

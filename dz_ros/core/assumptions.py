@@ -1,0 +1,105 @@
+"""Which assumptions of the theorem a configuration meets [wang2004].
+
+(A1)–(A4) concern the dead-zone. Those on plant and reference, (A5)–(A8) in the paper, are given in
+our own words, by name instead of number: the state is measured, the structure is known, the input
+gain is positive, the reference and its derivatives are bounded. Of what a real plant does only the
+user can know; there a finding says "stated", elsewhere "holds" or "violated".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.finding import Finding, INFO, WARNING
+from dz_ros.core.laws.base import Design
+
+
+def check_assumptions(c: Configuration) -> Iterator[Finding]:
+    """Return a finding for each assumption."""
+    yield from _dead_zone(c)
+    yield from _plant(c)
+    yield from _reference(c)
+
+
+def _extent(value: float, drift: tuple[float, ...]) -> tuple[float, float]:
+    """Return the lowest and highest value of a drifting parameter."""
+    return value - abs(drift[0]), value + abs(drift[0])
+
+
+def _dead_zone(c: Configuration) -> Iterator[Finding]:
+    """(A1)–(A4)."""
+    zone, known = c.dead_zone, c.controller_settings
+    yield Finding(INFO, '(A1)', 'holds: the law never sees what the dead-zone lets through')
+    slopes = [*_extent(zone.m_r, zone.m_r_drift), *_extent(zone.m_l, zone.m_l_drift)]
+    if min(slopes) == max(slopes):
+        yield Finding(INFO, '(A2)', f'holds: the same slope {zone.m_r:g} on both sides',
+                      {'m': zone.m_r})
+    else:
+        yield Finding(WARNING, '(A2)', f'violated: slopes {zone.m_r:g} on the right, {zone.m_l:g} '
+                      'on the left, or drifting; the law runs unchanged, the theorem asks for one',
+                      {'m_r': zone.m_r, 'm_l': zone.m_l})
+    yield Finding(INFO, '(A3)', 'holds: b_r >= 0, b_l <= 0, m > 0')
+    outside = []
+    for name, (low, high), bounds in (
+            ('b_r', _extent(zone.b_r, zone.b_r_drift), known.b_r_bounds),
+            ('b_l', _extent(zone.b_l, zone.b_l_drift), known.b_l_bounds),
+            ('m', (min(slopes), max(slopes)), known.m_bounds)):
+        if low < bounds[0] or high > bounds[1]:
+            outside.append(f'{name} in [{low:g}, {high:g}] but stated in '
+                           f'[{bounds[0]:g}, {bounds[1]:g}]')
+    if outside:
+        yield Finding(WARNING, '(A4)', 'violated: ' + '; '.join(outside),
+                      change='widen controller.b_r_bounds, b_l_bounds or m_bounds')
+    else:
+        yield Finding(INFO, '(A4)', 'holds: the dead-zone lies within the stated bounds')
+
+
+def _plant(c: Configuration) -> Iterator[Finding]:
+    """State, structure and input gain."""
+    yield Finding(INFO, 'state', f'stated: all {c.plant.order} states are measured')
+    yield Finding(INFO, 'structure', f'stated: {c.plant.regressor_count} known regressors Y_i '
+                  'with constant weights a_i; what else acts on the plant is disturbance')
+    low, high = c.controller_settings.b_bounds
+    numbers = {'b': c.plant.b, 'b_min': low, 'b_max': high}
+    if low <= c.plant.b <= high:
+        yield Finding(INFO, 'input gain',
+                      f'holds: b > 0, {c.plant.b:g} within [{low:g}, {high:g}]', numbers)
+    else:
+        yield Finding(WARNING, 'input gain', f'violated: b = {c.plant.b:g}, stated within '
+                      f'[{low:g}, {high:g}]', numbers, 'widen controller.b_bounds')
+
+
+def _reference(c: Configuration) -> Iterator[Finding]:
+    """x_d … x_d^(n) exist and are bounded."""
+    span = c.loop.duration or 60.0
+    values = [c.trajectory(span * k / 2000.0) for k in range(2001)]
+    largest = [max(abs(value[i]) for value in values) for i in range(c.plant.order + 1)]
+    yield Finding(INFO, 'reference', f'holds: {c.trajectory.name} gives x_d and its '
+                  f'{c.plant.order} derivatives in closed form; the largest: '
+                  + ', '.join(f'{item:.4g}' for item in largest),
+                  {f'xd{i}': item for i, item in enumerate(largest)})
+
+
+def check_projection(c: Configuration, design: Design) -> Iterator[Finding]:
+    """Whether the projection box contains the true parameters of every plant within the bounds."""
+    if not design.phi:
+        return
+    known = c.controller_settings
+    low = known.b_bounds[0] * known.m_bounds[0]
+    high = known.b_bounds[1] * known.m_bounds[1]
+    boxes = [('φ̂', 1.0, design.phi), *(
+        (f'θ̂{i}', a, box) for i, (a, box) in enumerate(
+            zip(c.plant.a, design.theta, strict=True), 1))]
+    outside = []
+    for name, numerator, box in boxes:
+        ends = sorted((numerator / high, numerator / low))
+        if ends[0] < box[0] or ends[1] > box[1]:
+            outside.append(f'{name} may have to be in [{ends[0]:.3g}, {ends[1]:.3g}], its bounds '
+                           f'are [{box[0]:g}, {box[1]:g}]')
+    if outside:
+        yield Finding(WARNING, 'projection', 'violated: ' + '; '.join(outside),
+                      change='widen controller.theta_min, theta_max, phi_min or phi_max')
+    else:
+        yield Finding(INFO, 'projection',
+                      'holds: the true parameters lie within the projection bounds')

@@ -1,0 +1,191 @@
+"""What a configuration promises and what it does not: every rule of the design, in words (ours).
+
+`check` looks at one configuration and returns findings: which assumption of the theorem of
+[wang2004] holds, is only stated, or is violated; whether k* covers the dead-zone (18) and the
+disturbance; the set Ω_ε in the units of each state; how far the sampled loop is from chatter; what
+the guarantee does not cover.
+
+    k* ≥ ρ/m_min + Δ/(b_min m_min) + ρ_I      (18), with disturbance |·| ≤ Δ and an integral's ρ_I
+    (K + Λ_v,n φ̂) b m T < μ_d                 no chatter (dz_ros.core.boundary_layer)
+    |x̃_i| ≤ 2^(i−1) λ^(i−n) ε                 Ω_ε (dz_ros.core.tracking)
+
+An error means that the theorem, or a calm command, is lost for certain; a warning that it may be,
+or is for some plant within the bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+import math
+
+from dz_ros.core.assumptions import check_assumptions, check_projection
+from dz_ros.core.boundary_layer import critical_epsilon, largest_beta
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.deadzone import rho
+from dz_ros.core.finding import ERROR, Finding, INFO, WARNING
+from dz_ros.core.laws.base import Design
+from dz_ros.core.tracking import guaranteed_bounds
+
+DELAYS = (0, 1, 2)
+"""Loop delays for which the margin is stated [samples]; topics take one of the first two."""
+
+
+def least_robust_gain(bound: float, m_min: float, b_min: float = 1.0, disturbance: float = 0.0,
+                      reserve: float = 0.0) -> float:
+    """Return the least k* that covers dead-zone, disturbance and integral, (18) [actuator unit].
+
+    Args:
+        bound: ρ [actuator unit].
+        m_min: Least slope m.
+        b_min: Least input gain b [unit of x^(n) / actuator unit].
+        disturbance: Bound Δ of the disturbance [unit of x^(n)].
+        reserve: Authority ρ_I of an integral [actuator unit].
+    """
+    return bound / m_min + disturbance / (b_min * m_min) + reserve
+
+
+def disturbance_along_reference(configuration: Configuration) -> float:
+    """Return the largest |disturbance| of the plant's model on the reference [unit of x^(n)].
+
+    Looked at every 0.01 s over the duration of a run, or a minute where it has none.
+    """
+    plant, trajectory = configuration.plant, configuration.trajectory
+    constants = plant.constants
+    steps = round(100.0 * (configuration.loop.duration or 60.0))
+    return max(abs(plant.disturbance(t, trajectory(t)[:plant.order], constants))
+               for t in (0.01 * k for k in range(steps + 1)))
+
+
+def check(configuration: Configuration, disturbance: float | None = None,
+          stability_limit: float | None = None) -> tuple[Finding, ...]:
+    """Return what the rules say of a configuration, assumptions first.
+
+    Args:
+        configuration: What is to run.
+        disturbance: Bound on the disturbance to withstand [unit of x^(n)]; None = what the
+            plant's model gives along the reference.
+        stability_limit: `dz_ros.core.stability.lambda_limit` of it [1/s]; None = not computed.
+    """
+    c, design = configuration, configuration.law.design
+    findings = list(check_assumptions(c))
+    if design is None:
+        findings.append(Finding(WARNING, 'law', f'nothing is known of {c.law.name}: the rules on '
+                                'k*, Ω_ε, chatter and λ were not applied'))
+        return tuple(findings)
+    if disturbance is None:
+        disturbance = disturbance_along_reference(c)
+    findings += [*check_projection(c, design), *_robust_gain(c, design, disturbance),
+                 *_target(c, design), *_chatter(c, design),
+                 *_stability(design, stability_limit), *_uncovered(c, design)]
+    return tuple(findings)
+
+
+def _robust_gain(c: Configuration, design: Design, disturbance: float) -> Iterator[Finding]:
+    """(18), with the disturbance and an integral on top."""
+    known = c.controller_settings
+    bound = 0.0 if design.inverse else rho(known.b_r_bounds[1], known.b_l_bounds[0],
+                                           known.m_bounds[1])
+    m_min, b_min = known.m_bounds[0], known.b_bounds[0]
+    least = least_robust_gain(bound, m_min, reserve=design.reserve)
+    full = least_robust_gain(bound, m_min, b_min, disturbance, design.reserve)
+    numbers = {'k': design.k, 'rho': bound, 'least': least, 'reserve': design.reserve,
+               'disturbance': disturbance, 'least_with_disturbance': full}
+    share = f' + {design.reserve:g} of the integral' if design.reserve else ''
+    covers = (f'{c.law.name} compensates the dead-zone itself' if design.inverse else
+              f'k* = {design.k:g} covers the dead-zone (rho/m_min{share} = {least:.4g})')
+    if design.k <= 0.0 and not design.inverse:
+        yield Finding(WARNING, '(18)', f'{c.law.name} has no robust term: nothing covers the '
+                      f'dead-zone, rho/m_min = {least:.4g}', numbers, 'choose another law')
+    elif design.k < least:
+        yield Finding(ERROR, '(18)', f'k* = {design.k:g} does not cover the dead-zone: '
+                      f'rho/m_min{share} = {least:.4g}', numbers,
+                      f'raise k* to {least:.4g}, or narrow the bounds'
+                      + (', or give the integral less authority' if share else ''))
+    elif design.k < full:
+        covered = (design.k - least) * b_min * m_min
+        yield Finding(WARNING, '(18)', f'{covers}; of the disturbance {disturbance:.4g} the '
+                      f'robust term covers {covered:.4g}', numbers,
+                      f'raise k* to {full:.4g}, or rely on what adaptation and layer absorb')
+    else:
+        yield Finding(INFO, '(18)', f'{covers}; k* covers a disturbance of {disturbance:.4g} '
+                      f'too ({full:.4g} together)', numbers)
+
+
+def _target(c: Configuration, design: Design) -> Iterator[Finding]:
+    """Ω_ε."""
+    if design.target <= 0.0:
+        yield Finding(INFO, 'Ω', f'{c.law.name} promises no set that the error converges to')
+        return
+    bounds = guaranteed_bounds(design.lambda_, design.target, c.plant.order)
+    parts = (f'|x̃{i}| <= {bound:.4g}' + ('' if unit == '1' else f' {unit}')
+             for i, (bound, unit) in enumerate(zip(bounds, c.plant.state_units, strict=True), 1))
+    yield Finding(INFO, 'Ω', 'where the theorem holds the error converges to '
+                  f'|s| <= {design.target:.4g}: ' + ', '.join(parts),
+                  {f'x{i}': bound for i, bound in enumerate(bounds)})
+
+
+def _chatter(c: Configuration, design: Design) -> Iterator[Finding]:
+    """Loop gain against its limit, for the delays a loop may have and the one configured."""
+    known, period = c.controller_settings, c.loop.period
+    betas = tuple(b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
+    slope = design.gain + design.lead
+    for delay in sorted({*DELAYS, c.loop.delay}):
+        largest = largest_beta(slope, design.integral_rate, period, delay)
+        low, high = (beta / largest if largest > 0.0 else math.inf for beta in betas)
+        numbers = {'delay': float(delay), 'share_low': low, 'share_high': high,
+                   'largest_beta': largest}
+        words = (f'delay {delay}: the loop gain is {low:.2f} to {high:.2f} of where chatter begins'
+                 if largest > 0.0 else f'delay {delay}: K is too high at any input gain')
+        change = 'make K = k_d + k*/ε smaller (a wider layer, a lower k_d), or the rate higher'
+        if design.epsilon > 0.0 and design.k > 0.0 and design.integral_rate <= 0.0:
+            k_d = design.gain - design.k / design.epsilon
+            smallest = critical_epsilon(design.k, k_d, design.lead, betas[1], period, delay)
+            numbers['smallest_epsilon'] = smallest
+            if math.isfinite(smallest):
+                words += f'; smallest usable ε {smallest:.3g}'
+                change = f'make ε larger than {smallest:.3g}, lower k_d, or raise the rate'
+            else:
+                change = 'lower k_d or raise the rate: no ε is large enough'
+        own = delay == c.loop.delay
+        level = INFO
+        if high >= 1.0:
+            level = ERROR if own and low >= 1.0 else WARNING if own or delay <= 1 else INFO
+            words += ': chatters' + (' where b m is large' if low < 1.0 else ' for certain')
+        yield Finding(level, 'chatter', words, numbers, '' if level == INFO else change)
+
+
+def _stability(design: Design, limit: float | None) -> Iterator[Finding]:
+    """λ against the limit found by simulation."""
+    if limit is None:
+        return
+    numbers = {'lambda': design.lambda_, 'limit': limit}
+    if math.isinf(limit):
+        yield Finding(INFO, 'λ', 'no λ was found at which the sampled loop is lost', numbers)
+        return
+    level, change = INFO, ''
+    if design.lambda_ > limit:
+        level = ERROR
+        change = f'lower λ below {limit:.3g}, start nearer to the reference, or project'
+    elif design.lambda_ > 0.8 * limit:
+        level, change = WARNING, f'keep λ below {0.8 * limit:.3g}'
+    yield Finding(level, 'λ', f'λ = {design.lambda_:g}; from this initial state the sampled loop '
+                  f'is lost above λ = {limit:.3g}', numbers, change)
+
+
+def _uncovered(c: Configuration, design: Design) -> Iterator[Finding]:
+    """What the theorem says nothing about."""
+    limit = c.plant_settings.command_limit
+    gaps = ['sampling and loop delay']
+    if any(c.noise):
+        gaps.append('measurement noise (v shows '
+                    f'{(design.gain + design.lead) * c.noise[-1]:.3g} of it)')
+    if limit > 0.0:
+        gaps.append(f'saturation at {limit:g}')
+    yield Finding(INFO, 'not covered', 'the theorem is of continuous time and says nothing about '
+                  + ', '.join(gaps))
+    known = getattr(c.law.gains, 'v_max', None)
+    if limit > 0.0 and known is not None and not 0.0 < known <= limit:
+        yield Finding(WARNING, 'saturation', f'the actuator clips at {limit:g}, the law '
+                      + (f'believes {known:g}' if known else 'knows no limit')
+                      + ': estimates and integral may wind up', {'limit': limit, 'v_max': known},
+                      f'set controller.v_max to {limit:g}')

@@ -1,0 +1,216 @@
+"""The law of [wang2004] with its extensions, each a switch of its own, all off by default (ours).
+
+    v    = −k_d s + φ̂ u_fd + Yᵀθ̂ − k* sat(s/ε)                            (14)
+         − v_I                                                  integral
+         + b̂_r χ_r(v) + b̂_l χ_l(v)                              dead_zone_feed_forward
+    θ̂, φ̂  by one Euler step of (15), (16) after v, or by the late gradient before it;
+           clipped to their bounds                              projection
+    v_I' = r_I s while |s| ≤ ε, |v_I| ≤ ρ_I, r_I = K²/divisor, K = k_d + k*/ε
+    θ̂, φ̂, v_I stand still while |v| > v_max and v s < 0         anti_windup
+    ε    = k*/(f μ_d/(β T) − k_d − (n−1) λ φ̂(0))                automatic_epsilon
+
+With every switch off the numbers are those of `wang2004`, bit for bit. The pieces are in
+`dz_ros.core.laws.extensions`. The late gradient knows v of the sample before only, so with it the
+anti-windup looks at that one. An interval of 0 leaves the whole memory as it is.
+
+Proven, with the paper's assumptions: projection (true parameters in the box) and the integral
+(k* ≥ ρ/m_min + ρ_I) keep the theorem in continuous time; the feed-forward adds a bounded error
+that k* must cover (|d̂ − d|/m instead of |d|/m). Anti-windup and the late gradient are sampled
+devices: no theorem, simulation only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from dz_ros.core.boundary_layer import automatic_epsilon, layer_gain
+from dz_ros.core.laws.base import Design, Law, per_regressor
+from dz_ros.core.laws.extensions import (
+    break_point,
+    check_start,
+    clip,
+    late_gradient,
+    project,
+    projection_box,
+    ProjectionGains,
+    winds_up,
+)
+from dz_ros.core.laws.wang2004 import adapt, adaptive_design, control, Wang2004Gains
+from dz_ros.core.records import STATUS, Status
+from dz_ros.core.schema import parameter
+from dz_ros.core.tracking import error_weights, feed_forward, feed_forward_weights, filtered_error
+from dz_ros.errors import ConfigurationError
+
+_SATURATED = float(Status.SATURATED)
+# Places in the constants, counted from the end of Λ_v.
+_PROJECTION, _LATE, _V_MAX, _R_I, _RHO_I, _B_R, _B_L, _E0, _BOX = range(9)
+# Places in the memory, counted from the end of θ̂, φ̂.
+_V_I, _U, _V, _STARTED, _Y = range(5)
+
+
+@dataclass(frozen=True)
+class ExtendedGains(ProjectionGains, Wang2004Gains):
+    """Gains of the paper's law, the switches and what each switch needs."""
+
+    projection: bool = parameter(False, '', 'clip θ̂, φ̂ to their bounds')
+    late_gradient: bool = parameter(False, '', 'adapt before v, by the gradient of the sample '
+                                    'before, instead of (15), (16) after it')
+    anti_windup: bool = parameter(False, '', 'freeze θ̂, φ̂, v_I while |v| > v_max against s')
+    v_max: float = parameter(0.0, 'actuator unit', 'what the actuator can do; 0 = not known',
+                             minimum=0.0)
+    integral: bool = parameter(False, '', 'bounded integral inside the layer')
+    rho_i: float = parameter(1.47, 'actuator unit', "the integral's authority ρ_I, at most "
+                             'k* − ρ/m_min', minimum=0.0)
+    integral_divisor: float = parameter(16.0, '1', 'r_I = K² / this', minimum=0.0,
+                                        open_minimum=True)
+    automatic_epsilon: bool = parameter(False, '', 'ε from rate, delay and bounds instead of '
+                                        'epsilon')
+    beta: float = parameter(1.25, 'unit of x^(n) per actuator unit', 'b_max m_max, for which the '
+                            'automatic ε is made', minimum=0.0, open_minimum=True)
+    design_delay: int = parameter(1, 'samples', 'loop delay for which the automatic ε is made; 1 '
+                                  'for a loop over topics', minimum=0, maximum=100)
+    margin: float = parameter(0.5, '1', 'share f of μ_d that the automatic ε uses', minimum=0.0,
+                              maximum=1.0, open_minimum=True)
+    dead_zone_feed_forward: bool = parameter(False, '', 'add the guessed break point to v')
+    b_r_guess: float = parameter(0.35, 'actuator unit', 'b̂_r, the middle of its bounds',
+                                 minimum=0.0)
+    b_l_guess: float = parameter(-0.4, 'actuator unit', 'b̂_l, the middle of its bounds',
+                                 maximum=0.0)
+    e0: float = parameter(0.1, 'actuator unit', 'width of the change from b̂_l to b̂_r',
+                          minimum=0.0, open_minimum=True)
+
+    def check(self, prefix: str) -> None:
+        """Check that the anti-windup knows a limit.
+
+        Raises:
+            ConfigurationError: It does not.
+        """
+        if self.anti_windup and self.v_max == 0.0:
+            raise ConfigurationError(f'{prefix}v_max', self.v_max,
+                                     'anti_windup needs the limit of the actuator, > 0')
+
+
+class Extended(Law):
+    """Equations (8)–(17) and the switches."""
+
+    name = 'extended'
+    summary = 'the law of 2004 with switches: projection, late gradient, integral, …'
+    Gains = ExtendedGains
+
+    def __init__(self, gains: Any = None, order: int = 2, regressor_count: int = 2,
+                 period: float = 0.005) -> None:
+        super().__init__(gains, order, regressor_count, period)
+        g = self.gains
+        self._theta_0 = per_regressor(g.theta_0, regressor_count, 'theta_0')
+        self._box = projection_box(g, regressor_count)
+        if g.projection:
+            check_start(self._box, self._theta_0, g.phi_0)
+        self.epsilon = g.epsilon
+        if g.automatic_epsilon:
+            lead = feed_forward_weights(g.lambda_, order)[-1] * g.phi_0
+            self.epsilon = automatic_epsilon(g.k_star, g.k_d, lead, g.beta, period,
+                                             g.design_delay, g.margin)
+
+    @property
+    def constants(self) -> tuple[float, ...]:
+        """k_d, k*, ε, γ, η, Λ, Λ_v, then the switches' numbers and the projection box."""
+        g = self.gains
+        rate = layer_gain(g.k_d, g.k_star, self.epsilon) ** 2 / g.integral_divisor
+        return (g.k_d, g.k_star, self.epsilon, g.gamma, g.eta,
+                *error_weights(g.lambda_, self.order),
+                *feed_forward_weights(g.lambda_, self.order),
+                float(g.projection), float(g.late_gradient), g.v_max if g.anti_windup else 0.0,
+                rate if g.integral else 0.0, g.rho_i if g.integral else 0.0,
+                g.b_r_guess if g.dead_zone_feed_forward else 0.0,
+                g.b_l_guess if g.dead_zone_feed_forward else 0.0, g.e0, *self._box)
+
+    @property
+    def memory_names(self) -> tuple[str, ...]:
+        """θ̂, φ̂, v_I, u_fd⁻, v⁻, whether a sample came before, Y⁻."""
+        r = range(1, self.regressor_count + 1)
+        return (*(f'theta{i}' for i in r), 'phi', 'v_integral', 'u_last', 'v_last', 'started',
+                *(f'y{i}_last' for i in r))
+
+    @property
+    def signal_names(self) -> tuple[str, ...]:
+        """θ̂, φ̂ as used in v, v_I after its update; then the memory before the step."""
+        return (*self.memory_names[:self.regressor_count + 2],
+                *(f'{name}_before' for name in self.memory_names))
+
+    @property
+    def design(self) -> Design:
+        """What the design rules need."""
+        g = self.gains
+        found = adaptive_design(g, self.order, g.k_star, self.epsilon)
+        if g.integral:
+            found = replace(found, reserve=g.rho_i,
+                            integral_rate=found.gain ** 2 / g.integral_divisor)
+        if g.projection:
+            r = self.regressor_count
+            found = replace(found, theta=tuple(zip(self._box[:r], self._box[r:2 * r],
+                                                   strict=True)), phi=self._box[2 * r:])
+        return found
+
+    def initial_memory(self) -> tuple[float, ...]:
+        """θ̂(0), φ̂(0), nothing before."""
+        return (*self._theta_0, self.gains.phi_0, *(0.0,) * (4 + self.regressor_count))
+
+    def memory_from_signals(self, signals: Sequence[float]) -> tuple[float, ...]:
+        """The memory before the step is published whole."""
+        return tuple(signals[self.regressor_count + 2:])
+
+    @staticmethod
+    def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],
+               x: Sequence[float], y: Sequence[float], dt: float, new_memory: Any,
+               terms: Any) -> float:
+        """One sample: late gradient, v, Euler step, integral."""
+        n = len(x)
+        r = len(y)
+        own = 5 + 2 * n
+        rest = r + 1
+        for i in range(len(memory)):
+            new_memory[i] = memory[i]
+        s = filtered_error(c, 5, x_d, x)
+        u_fd = feed_forward(c, 5 + n, x_d, x)
+        status = 0.0
+        if c[own + _LATE] != 0.0 and memory[rest + _STARTED] != 0.0 and dt > 0.0:
+            if winds_up(memory[rest + _V], c[own + _V_MAX], s):
+                status = _SATURATED
+            else:
+                s_eps = s - c[2] * clip(s / c[2], -1.0, 1.0)
+                late_gradient(c[3], c[4], c[0], dt, s_eps, memory, rest + _Y, r,
+                              memory[rest + _U], new_memory)
+                if c[own + _PROJECTION] != 0.0:
+                    project(c, own + _BOX, r, new_memory)
+        for i in range(rest):
+            terms[STATUS + 1 + i] = new_memory[i]
+
+        v = control(c[0], c[1], c[2], new_memory, s, u_fd, y, terms)
+        v_extra = -clip(memory[rest + _V_I], -c[own + _RHO_I], c[own + _RHO_I])
+        v_extra += break_point(v + v_extra, c[own + _B_R], c[own + _B_L], c[own + _E0])
+        v += v_extra
+        terms[7] = v_extra
+
+        if dt > 0.0:
+            if winds_up(v, c[own + _V_MAX], s):
+                status = _SATURATED
+            else:
+                if c[own + _LATE] == 0.0:
+                    adapt(c[3], c[4], memory, y, u_fd, terms[1], dt, new_memory)
+                    if c[own + _PROJECTION] != 0.0:
+                        project(c, own + _BOX, r, new_memory)
+                if -c[2] <= s <= c[2]:
+                    new_memory[rest + _V_I] = clip(memory[rest + _V_I] + dt * c[own + _R_I] * s,
+                                                   -c[own + _RHO_I], c[own + _RHO_I])
+            new_memory[rest + _U] = u_fd
+            new_memory[rest + _V] = v
+            new_memory[rest + _STARTED] = 1.0
+            for i in range(r):
+                new_memory[rest + _Y + i] = y[i]
+        terms[STATUS] = status
+        terms[STATUS + 1 + rest] = new_memory[rest + _V_I]
+        for i in range(len(memory)):
+            terms[STATUS + 2 + rest + i] = memory[i]
+        return v

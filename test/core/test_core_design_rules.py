@@ -1,0 +1,196 @@
+"""What the design rules say of configurations, and the stability limit on λ."""
+
+from dataclasses import asdict
+import json
+import math
+
+import pytest
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.design_rules import check, disturbance_along_reference, least_robust_gain
+from dz_ros.core.finding import ERROR, Finding, INFO, WARNING, worst
+from dz_ros.core.laws import LAWS
+from dz_ros.core.laws.pd import Pd
+from dz_ros.core.loop import simulate
+from dz_ros.core.plants import PLANTS
+from dz_ros.core.stability import is_lost, lambda_limit
+
+
+def configuration(**values):
+    return Configuration.from_flat({key.replace('__', '.'): value
+                                    for key, value in values.items()})
+
+
+def found(rule, **values):
+    """Return the findings of one rule."""
+    return [item for item in check(configuration(**values)) if item.rule == rule]
+
+
+def test_rule_18_of_the_example():
+    assert least_robust_gain(0.875, 0.85) == pytest.approx(1.0294, abs=1e-4)
+    assert least_robust_gain(0.875, 0.85, 1.0, 1.25) == pytest.approx(2.5)
+    assert least_robust_gain(0.875, 0.85, reserve=1.47) == pytest.approx(2.4994, abs=1e-4)
+    assert least_robust_gain(0.0, 0.5, 0.25, 1.0) == 8.0
+
+
+def test_disturbance_is_that_of_the_model_on_the_reference():
+    """0.5 · 2.5 |sin t sin 3t| has its largest value 1.25 at t = π/2."""
+    assert disturbance_along_reference(configuration()) == pytest.approx(1.25, abs=1e-3)
+    assert disturbance_along_reference(configuration(plant__a3=0.0)) == 0.0
+
+
+def test_the_paper_s_example_has_nothing_to_complain_of():
+    findings = check(configuration())
+    assert worst(findings) == INFO
+    rules = [item.rule for item in findings]
+    for rule in ('(A1)', '(A2)', '(A3)', '(A4)', 'state', 'structure', 'input gain', 'reference',
+                 '(18)', 'Ω', 'not covered'):
+        assert rules.count(rule) == 1, rule
+    assert rules.count('chatter') == 3
+
+
+def test_numbers_of_the_example():
+    gain, = found('(18)')
+    assert gain.numbers['least'] == pytest.approx(1.0294, abs=1e-4)
+    assert gain.numbers['least_with_disturbance'] == pytest.approx(2.5, abs=1e-3)
+    bounds, = found('Ω', controller__lambda=2.0)
+    assert bounds.numbers == pytest.approx({'x0': 0.01, 'x1': 0.04})
+    assert '0.04 1/s' in bounds.words
+    for item, epsilon in zip(found('chatter', controller__m_bounds=[1.0, 1.0]),
+                             (0.0064, 0.0132, 0.0222), strict=True):
+        assert item.numbers['smallest_epsilon'] == pytest.approx(epsilon, abs=5e-5)
+
+
+@pytest.mark.parametrize(('values', 'rule', 'level', 'part'), [
+    ({'plant.dead_zone.m_l': 0.9}, '(A2)', WARNING, 'slopes 1 on the right'),
+    ({'plant.dead_zone.m_r_drift': [0.1, 1.0]}, '(A2)', WARNING, 'drifting'),
+    ({'plant.dead_zone.b_r': 0.7}, '(A4)', WARNING, 'b_r in [0.7, 0.7] but stated in [0.1, 0.6]'),
+    ({'plant.dead_zone.b_l_drift': [0.3, 1.0]}, '(A4)', WARNING, 'b_l in [-0.9, -0.3]'),
+    ({'plant.b': 2.0}, 'input gain', WARNING, 'b = 2'),
+    ({'plant.b': 2.0, 'controller.b_bounds': [0.5, 2.0]}, 'input gain', INFO, 'holds'),
+    ({'controller.k_star': 1.0}, '(18)', ERROR, 'rho/m_min = 1.029'),
+    ({'controller.k_star': 1.5}, '(18)', WARNING, 'covers 0.4'),
+    ({'controller.law': 'adaptive'}, '(18)', WARNING, 'no robust term'),
+    ({'controller.law': 'pid'}, 'Ω', INFO, 'promises no set'),
+    ({'controller.law': 'exact_inverse'}, '(18)', INFO, 'compensates the dead-zone itself'),
+    ({'controller.law': 'robust', 'controller.k_star': 2.0}, '(18)', ERROR, 'of the integral'),
+    ({'controller.law': 'robust'}, '(18)', WARNING, 'of the disturbance 1.25'),
+    ({'controller.law': 'robust'}, 'projection', INFO, 'holds'),
+    ({'controller.law': 'robust', 'controller.b_bounds': [0.2, 2.0]}, 'projection', WARNING,
+     'φ̂ may have to be in [0.4, 5.88]'),
+    ({'plant.noise': [1e-3, 1e-2]}, 'not covered', INFO, 'measurement noise (v shows 1.36 of it)'),
+    ({'plant.command_limit': 10.0}, 'not covered', INFO, 'saturation at 10'),
+    ({'plant.command_limit': 10.0, 'controller.law': 'robust'}, 'saturation', WARNING,
+     'knows no limit'),
+    ({'plant.command_limit': 10.0, 'controller.law': 'robust', 'controller.v_max': 12.0},
+     'saturation', WARNING, 'believes 12')])
+def test_rules(values, rule, level, part):
+    item, = found(rule, **values)
+    assert item.level == level
+    assert part in item.words
+    assert bool(item.change) == (level != INFO) or rule == '(A2)'
+
+
+@pytest.mark.parametrize(('values', 'levels'), [
+    ({}, [INFO, INFO, INFO]),
+    ({'controller.epsilon': 0.01}, [INFO, WARNING, INFO]),
+    ({'controller.epsilon': 0.006}, [WARNING, WARNING, INFO]),
+    ({'loop.delay': 2}, [INFO, INFO, WARNING]),
+    ({'loop.delay': 2, 'controller.epsilon': 0.01}, [INFO, WARNING, ERROR]),
+    ({'loop.delay': 4}, [INFO, INFO, INFO, ERROR]),
+    ({'controller.law': 'robust'}, [INFO, INFO, INFO]),
+    ({'controller.law': 'robust', 'loop.rate': 20.0, 'loop.delay': 2}, [INFO, WARNING, ERROR]),
+    ({'loop.rate': 12.0}, [ERROR, WARNING, INFO])])
+def test_chatter_levels(values, levels):
+    assert [item.level for item in found('chatter', **values)] == levels
+
+
+def test_no_layer_is_wide_enough_at_a_rate_too_low():
+    items = found('chatter', loop__rate=12.0)
+    assert math.isinf(items[1].numbers['smallest_epsilon'])
+    assert 'no ε is large enough' in items[1].change
+
+
+@pytest.mark.parametrize(('values', 'certain'), [
+    ({'loop.delay': 2, 'controller.epsilon': 0.018}, True),
+    ({'loop.delay': 2, 'controller.epsilon': 0.03}, False),
+    ({'loop.delay': 1, 'controller.epsilon': 0.011}, True),
+    ({'loop.delay': 1, 'controller.epsilon': 0.016}, False)])
+def test_chatters_for_certain_is_what_the_simulation_shows(values, certain):
+    """With bounds of b m that fit the plant an error of the rule is chatter, and vice versa."""
+    values = {**values, 'controller.m_bounds': [0.97, 1.03], 'loop.duration': 6.0}
+    level = max(item.level == ERROR for item in found('chatter', **values))
+    assert level is certain
+    run = simulate(configuration(**values))
+    half = len(run.v) // 2
+    variation = sum(abs(a - b) for a, b in zip(run.v[half:-1], run.v[half + 1:], strict=True)) / 3
+    assert bool(variation > 40.0) is certain
+
+
+@pytest.mark.parametrize('law', LAWS.builtin)
+@pytest.mark.parametrize('plant', PLANTS.builtin)
+def test_every_combination_gets_sentences(law, plant):
+    for item in check(configuration(controller__law=law, plant__model=plant)):
+        assert item.level in (ERROR, WARNING, INFO)
+        assert item.words
+        assert '\n' not in item.words + item.change
+        assert 'nan' not in item.words
+        assert 'inf' not in item.words
+        json.dumps(asdict(item))
+        assert all(isinstance(value, float | int) for value in item.numbers.values())
+
+
+def test_a_law_nobody_knows_is_said_to_be_unknown():
+    class Stranger(Pd):
+        name = 'stranger'
+        design = None
+
+    known = configuration()
+    strange = Configuration(**{**{key: getattr(known, key) for key in known.__dataclass_fields__},
+                               'law': Stranger()})
+    assert [item.level for item in check(strange) if item.rule == 'law'] == [WARNING]
+
+
+@pytest.mark.parametrize(('limit', 'level'), [
+    (0.9, ERROR), (1.1, WARNING), (8.0, INFO), (math.inf, INFO)])
+def test_stability_limit_is_judged(limit, level):
+    item, = (item for item in check(configuration(), stability_limit=limit) if item.rule == 'λ')
+    assert item.level == level
+
+
+def test_a_stated_disturbance_replaces_the_model_s():
+    item, = (item for item in check(configuration(), disturbance=2.0) if item.rule == '(18)')
+    assert item.level == WARNING
+    assert item.numbers['least_with_disturbance'] == pytest.approx((0.875 + 2.0) / 0.85)
+
+
+def test_worst():
+    assert worst([]) == INFO
+    assert worst([Finding(INFO, 'a', ''), Finding(WARNING, 'b', '')]) == WARNING
+    assert worst([Finding(ERROR, 'a', ''), Finding(WARNING, 'b', '')]) == ERROR
+
+
+@pytest.mark.parametrize(('delay', 'first_lost'), [(0, 8.25), (1, 6.25), (2, 5.25)])
+def test_stability_limit_of_the_example(delay, first_lost):
+    """On a grid of 0.25 the first λ that diverges is 8.25, 6.25, 5.25."""
+    limit = lambda_limit(configuration(loop__delay=delay))
+    assert first_lost - 0.25 <= limit <= first_lost
+    assert is_lost(configuration(loop__delay=delay, controller__lambda=first_lost))
+    assert not is_lost(configuration(loop__delay=delay, controller__lambda=first_lost - 0.25))
+
+
+def test_stability_limit_does_not_hang_on_where_the_search_starts():
+    for start in (0.5, 7.9, 20.0):
+        limit = lambda_limit(configuration(controller__lambda=start))
+        assert limit == pytest.approx(8.05, abs=0.06)
+
+
+def test_projection_cures_it():
+    assert lambda_limit(configuration(controller__law='extended', controller__projection=True),
+                        highest=20.0) == math.inf
+    assert lambda_limit(configuration(controller__law='robust'), highest=20.0) == math.inf
+
+
+def test_a_hopeless_loop_has_no_stable_lambda():
+    hopeless = configuration(controller__k_d=5000.0, loop__delay=3, plant__x0=[-2.5, 200.0])
+    assert lambda_limit(hopeless, duration=1.0) == 0.0

@@ -1,0 +1,310 @@
+"""Replay over real DDS: bytes, order, names, steering, the shadow controller."""
+
+from dataclasses import replace
+import json
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.dataset import from_run
+from dz_ros.core.loop import simulate
+from dz_ros.recording.reader import read_run
+from dz_ros.recording.save import save_run
+from dz_ros.recording.source import open_source
+
+rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
+
+DZ = ('-m', 'dz_ros', 'bag', 'replay')
+NODE = ('-m', 'dz_ros.nodes.main', 'replay_node', '--ros-args')
+TIME_OUT = 60.0
+CHANNELS = ('reference', 'state', 'command', 'terms', 'truth')
+
+
+class Listener:
+    """A node of the test's own that keeps what it hears."""
+
+    def __init__(self):
+        self.context = rclpy.Context()
+        self.context.init()
+        self.node = rclpy.create_node('listener', context=self.context)
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.heard = {}
+
+    def listen(self, topic, message_type=None, raw=True, depth=5000, **qos):
+        from std_msgs.msg import Float64MultiArray
+        self.heard[topic] = []
+        self.node.create_subscription(message_type or Float64MultiArray, topic,
+                                      self.heard[topic].append,
+                                      rclpy.qos.QoSProfile(depth=depth, **qos), raw=raw)
+
+    def wait(self, condition):
+        deadline = time.monotonic() + TIME_OUT
+        while not condition():
+            assert time.monotonic() < deadline, 'nothing heard in time'
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def call(self, name):
+        from std_srvs.srv import Trigger
+        return self.ask(f'/replay_node/{name}', Trigger, Trigger.Request())
+
+    def ask(self, service, service_type, request):
+        client = self.node.create_client(service_type, service)
+        assert client.wait_for_service(TIME_OUT)
+        future = client.call_async(request)
+        self.wait(future.done)
+        return future.result()
+
+    def set_rate(self, value):
+        from rcl_interfaces.srv import SetParameters
+        request = SetParameters.Request(
+            parameters=[rclpy.parameter.Parameter('rate', value=value).to_parameter_msg()])
+        return self.ask('/replay_node/set_parameters', SetParameters, request).results[0]
+
+    def tell(self, topic, message):
+        publisher = self.node.create_publisher(type(message), f'/replay_node/{topic}', 10)
+        self.wait(lambda: publisher.get_subscription_count())
+        publisher.publish(message)
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture
+def listener(ros_domain):
+    made = Listener()
+    yield made
+    made.close()
+
+
+@pytest.fixture(scope='module')
+def run(tmp_path_factory):
+    """One second of the loop, simulated; samples 5 ms apart."""
+    path = tmp_path_factory.mktemp('replay') / 'run'
+    data = from_run(simulate(Configuration.from_flat({'loop.duration': 1.0})), 10 ** 18)
+    events = ((10 ** 18 + 7, '/plant_node', '{"event": "started"}'),)
+    save_run(replace(data, events=events), path)
+    return path
+
+
+def payloads(run, channel):
+    return [message.payload for batch in open_source(run).batches() for message in batch
+            if message.topic.rpartition('/')[2] == channel]
+
+
+def test_every_byte_is_published_in_order_on_the_recorded_topics(processes, listener, run):
+    for name in CHANNELS:
+        listener.listen(f'/{name}')
+    replay = processes(*DZ, run, '--rate', '2', '--wait-for', *CHANNELS)
+    assert replay.wait() == 0, replay.output
+    listener.wait(lambda: all(len(listener.heard[f'/{name}']) == 201 for name in CHANNELS))
+    for name in CHANNELS:
+        assert listener.heard[f'/{name}'] == payloads(run, name)
+    assert '1006 messages' in replay.output
+
+
+def test_events_are_offered_to_late_joiners_as_they_were(processes, listener, run):
+    from std_msgs.msg import String
+    replay = processes(*DZ, run, '--topics', 'events', 'state', '--loop', '--duration', '0.5')
+    listener.listen('/state')
+    listener.wait(lambda: listener.heard['/state'])
+    listener.listen('/events', String, raw=False,
+                    durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
+    listener.wait(lambda: listener.heard['/events'])
+    assert listener.heard['/events'][0].data == '{"event": "started"}'
+    replay.signal(signal.SIGINT)
+    assert replay.wait() == 0          # how a loop is meant to end
+    assert 'Traceback' not in replay.output
+
+
+def test_names_follow_namespace_and_remapping(processes, listener, run):
+    listener.listen('/again/renamed')
+    listener.listen('/again/command')
+    replay = processes(*DZ, run, '--namespace', 'again', '--remap', 'state:=renamed',
+                       '--wait-for', 'state', 'command', '--rate', '5')
+    assert replay.wait() == 0, replay.output
+    listener.wait(lambda: len(listener.heard['/again/renamed']) == 201)
+    assert listener.heard['/again/renamed'] == payloads(run, 'state')
+
+
+def test_it_is_steered_while_it_plays(processes, listener, run):
+    from builtin_interfaces.msg import Time
+    from std_msgs.msg import Float64, UInt64
+    listener.listen('/state')
+    heard = listener.heard['/state']
+    states = payloads(run, 'state')
+    replay = processes(*NODE, '-p', f'run:={run}', '-p', 'topics:=[state]', '-p', 'paused:=true',
+                       '-p', 'wait_for:=[state]')
+    answer = listener.call('is_paused')
+    assert answer.success
+    assert answer.message == 'paused at 0.000000 s'
+    for count in (1, 2, 3):
+        assert listener.call('play_next').success
+        listener.wait(lambda count=count: len(heard) == count)
+    assert heard == states[:3]
+    listener.tell('burst', UInt64(data=4))
+    listener.wait(lambda: len(heard) == 7)
+    listener.tell('seek_offset', Float64(data=0.5))
+    replay.wait_for_line('seek to 0.500000 s')
+    assert listener.call('play_next').success
+    listener.wait(lambda: len(heard) == 8)
+    assert heard[7] == states[100]
+    listener.tell('seek', Time(sec=10 ** 9, nanosec=250_000_000))
+    replay.wait_for_line('seek to 0.250000 s')
+    assert listener.set_rate(0.001).successful
+    refused = listener.set_rate(-1.0)
+    assert not refused.successful
+    assert 'rate = -1.0' in refused.reason
+    assert not listener.set_rate('fast').successful
+    assert listener.call('resume').success
+    assert not listener.call('is_paused').success
+    assert not listener.call('play_next').success       # it plays
+    listener.wait(lambda: len(heard) == 9)
+    assert heard[8] == states[50]
+    assert listener.call('toggle_paused').message.startswith('paused')
+    assert listener.call('toggle_paused').message.startswith('playing')
+    assert listener.call('pause').success
+    listener.tell('burst', UInt64(data=0))              # all that are left
+    listener.wait(lambda: heard[-1] == states[-1])
+    assert replay.poll() is None                        # paused: somebody may seek
+    assert listener.call('stop').success
+    assert replay.wait() == 0
+    assert 'Traceback' not in replay.output
+
+
+def test_the_time_of_the_recording_is_published_as_clock(processes, listener, run):
+    from rosgraph_msgs.msg import Clock
+    listener.listen('/clock', Clock, raw=False)
+    listener.listen('/state')
+    replay = processes(*DZ, run, '--clock', '100', '--wait-for', 'state')
+    assert replay.wait() == 0, replay.output
+    listener.wait(lambda: len(listener.heard['/clock']) > 10)
+    times = [message.clock.sec * 10 ** 9 + message.clock.nanosec
+             for message in listener.heard['/clock']]
+    assert times == sorted(times)
+    assert times[0] >= 10 ** 18
+    assert times[-1] < 10 ** 18 + 2 * 10 ** 9
+
+
+def test_two_replays_on_the_same_topics_are_refused(processes, listener, run):
+    first = processes(*DZ, run, '--paused')
+    assert listener.call('is_paused').success
+    second = processes(*DZ, run)
+    assert second.wait() == 2
+    assert 'another replay' in second.output
+    assert second.output.count('\n') == 0
+    assert first.interrupt() == 130
+
+
+@pytest.mark.parametrize(('words', 'message'), [
+    (('--topics', 'no_such'), '/state'), (('--start', '100'), 'nothing to play'),
+    (('--rate', '0'), 'rate = 0.0'), (('--rate', 'nan'), 'rate'), (('--start', '-1'), 'start'),
+    (('--clock', '-5'), 'clock'), (('--set', 'controller.k_d=1'), '--into controller only'),
+    (('--into', 'controller', '--loop'), '--loop'),
+    (('--into', 'controller', '--tolerance', '-1'), '--tolerance'),
+    (('--into', 'controller', '--set', 'controller.k_e=1'), 'controller.k_e'),
+])
+def test_a_users_mistake_is_one_line_and_exit_code_two(processes, run, words, message):
+    replay = processes(*DZ, run, *words)
+    assert replay.wait() == 2
+    assert message in replay.output
+    assert replay.output.count('\n') == 0, replay.output
+
+
+def test_what_is_no_run_is_one_line(processes, tmp_path):
+    (tmp_path / 'text.mcap').write_text('no')
+    for path in (tmp_path / 'none', tmp_path, tmp_path / 'text.mcap'):
+        replay = processes(*DZ, path)
+        assert replay.wait() == 2
+        assert replay.output.count('\n') == 0, replay.output
+
+
+@pytest.mark.parametrize('law', ['wang2004', 'pd'])
+def test_a_live_controller_of_the_same_build_answers_alike(processes, tmp_path, law):
+    recorded = processes('-m', 'dz_ros', 'run', '--lockstep', '--duration', '2', '--quiet',
+                         '--set', f'controller.law={law}', '--record', tmp_path / 'run')
+    assert recorded.wait() == 0, recorded.output
+    shadow = processes(*DZ, tmp_path / 'run', '--into', 'controller', '--record',
+                       tmp_path / 'live')
+    assert shadow.wait() == 0, shadow.output
+    assert '401 of 401 recorded commands compared' in shadow.output
+    assert 'largest |Δv| 0\n' in shadow.output
+    live = read_run(tmp_path / 'live')
+    assert np.array_equal(live.channels['command']['v'],
+                          read_run(tmp_path / 'run').channels['command']['v'])
+    topics = open_source(tmp_path / 'live')
+    list(topics.batches())
+    assert all(name.startswith('/shadow/') for name in topics.topics)
+
+
+def test_a_live_controller_repeats_a_real_time_run_too(processes, tmp_path):
+    recorded = processes('-m', 'dz_ros', 'run', '--duration', '3', '--quiet', '--namespace',
+                         'left', '--record', tmp_path / 'run')
+    assert recorded.wait() == 0, recorded.output
+    shadow = processes(*DZ, tmp_path / 'run', '--into', 'controller', '--json')
+    assert shadow.wait() == 0, shadow.output
+    found = json.loads('{' + shadow.output.partition('\n{')[2])
+    assert found['same']
+    assert found['compared'] == found['recorded']
+    assert found['command']['largest'] == 0.0
+
+
+def test_a_controller_that_differs_is_told_by_sample_and_term(processes, run, tmp_path):
+    shadow = processes(*DZ, run, '--into', 'controller', '--set', 'controller.k_d=9')
+    assert shadow.wait() == 1, shadow.output
+    assert 'first command beyond 0: seq 0, t = 0 s' in shadow.output
+    assert 'v_damping' in shadow.output
+    data = read_run(run)
+    command = data.channels['command']
+    values = command.values.copy()
+    values[123, 2] += 1e-9
+    save_run(replace(data, channels={**data.channels, 'command': replace(
+        command, values=values)}), tmp_path / 'changed')
+    tampered = processes(*DZ, tmp_path / 'changed', '--into', 'controller')
+    assert tampered.wait() == 1, tampered.output
+    assert 'first command beyond 0: seq 123' in tampered.output
+
+
+def test_a_paced_shadow_answers_in_real_time(processes, run):
+    shadow = processes(*DZ, run, '--into', 'controller', '--paced', '--tolerance', '1000')
+    assert shadow.wait() in (0, 1), shadow.output       # on a busy machine samples are skipped
+    assert 'of 201 recorded commands compared' in shadow.output
+    assert 'Traceback' not in shadow.output
+
+
+@pytest.mark.parametrize(('text', 'expected'), [
+    ('', ('KEEP_LAST', 1000, 'RELIABLE', 'VOLATILE')),
+    ('- {history: keep_last, depth: 7, reliability: best_effort, durability: volatile}',
+     ('KEEP_LAST', 7, 'BEST_EFFORT', 'VOLATILE')),
+    ('- {history: 1, depth: 5, reliability: 1, durability: 1}',
+     ('KEEP_LAST', 5, 'RELIABLE', 'TRANSIENT_LOCAL')),
+    ('- {history: 3, depth: 0, reliability: 2, durability: 2}',
+     ('KEEP_LAST', 1000, 'BEST_EFFORT', 'VOLATILE')),
+    ('- {history: keep_last, depth: 3, reliability: best_effort, durability: volatile}\n'
+     '- {history: keep_last, depth: 9, reliability: reliable, durability: transient_local}',
+     ('KEEP_LAST', 9, 'RELIABLE', 'TRANSIENT_LOCAL')),
+    ('- {history: keep_all, depth: 0}', ('KEEP_ALL', 1000, 'RELIABLE', 'VOLATILE')),
+    ('[[[', ('KEEP_LAST', 1000, 'RELIABLE', 'VOLATILE')),
+    ('42', ('KEEP_LAST', 1000, 'RELIABLE', 'VOLATILE')),
+])
+def test_what_was_offered_is_offered_again(text, expected):
+    from dz_ros.nodes.recorded import offered_as_recorded
+    qos = offered_as_recorded(text)
+    assert (qos.history.name, qos.depth, qos.reliability.name, qos.durability.name) == expected
+
+
+def test_message_classes_are_found_by_name():
+    from std_msgs.msg import String
+
+    from dz_ros.nodes.recorded import message_class
+    assert message_class('std_msgs/msg/String') is String
+    assert message_class('no_such_package/msg/Text') is None
+    assert message_class('std_msgs/msg/NoSuchType') is None
+    assert message_class('') is None
+    assert message_class('../std_msgs/msg/String') is None
