@@ -179,7 +179,7 @@ class Actuator:
     """An active guard that is sent one command a sample."""
 
     def __init__(self, **settings):
-        self.guard = ActuatorGuard(SafetySettings(**settings), T)
+        self.guard = ActuatorGuard(SafetySettings(**{'fault_after': 80, **settings}), T)
         for name in ('configure', 'activate'):
             self.guard.transition(name, 0.0)
         self.seq = -1
@@ -273,7 +273,7 @@ class Loop:
 
     def __init__(self, **settings):
         self.configuration = Configuration.from_flat({
-            'loop.duration': 2.0, **{key.replace('__', '.'): value
+            'loop.duration': 2.0, 'safety.fault_after': 80, **{key.replace('__', '.'): value
                                      for key, value in settings.items()}})
         self.run = simulate(self.configuration)
         self.begun = []

@@ -40,7 +40,7 @@ class SafetySettings:
     echo_limit: int = parameter(20, 'samples', 'a command that answers an older state is not '
                                 'taken, nor a loop trusted that answers so late; 0 = off',
                                 minimum=0, maximum=100000)
-    fault_after: int = parameter(80, 'samples', 'input that stays away so long is a fault; '
+    fault_after: int = parameter(200, 'samples', 'input that stays away so long is a fault; '
                                  '0 = never', minimum=0, maximum=1000000)
     estimates: str = parameter('keep', '', 'estimates when the law takes over again: as they are, '
                                'as configured, or as they were 1 to 2 s before it was stopped',
