@@ -188,7 +188,8 @@ def _search(predict: Prediction, p: Array, starts: Array,
 
     def jacobian(q: Array) -> object:
         by_p, by_start = predict.sensitivity(q[:count], q[count:].reshape(shape), weight)
-        return hstack([csr_matrix(np.concatenate(by_p)), block_diag(by_start)]).tocsr()
+        starts_only = block_diag([csr_matrix(item) for item in by_start])
+        return hstack([csr_matrix(np.concatenate(by_p)), starts_only]).tocsr()
 
     low, high = np.full(len(p) + starts.size, -np.inf), np.full(len(p) + starts.size, np.inf)
     low[count - 3], low[count - 2], high[count - 1] = 1e-6, 0.0, 0.0
