@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
+import contextlib
 from contextlib import contextmanager
 from dataclasses import dataclass
 import json
@@ -35,14 +36,17 @@ from fault_kit.loop import Loop, NODES  # noqa: E402
 
 from dz_ros.files import load_configuration, write_parameters  # noqa: E402
 
-SETTINGS = ['loop.duration=0', 'trajectory.kind=sinusoid', 'trajectory.amplitude=1.0',
-            'trajectory.frequency=2.0', 'plant.x0=[0.0, 2.0]', 'safety.command_limit=30']
+SETTINGS = ['loop.duration=0', 'controller.law=robust', 'trajectory.kind=sinusoid',
+            'trajectory.amplitude=1.0', 'trajectory.frequency=2.0', 'plant.x0=[0.0, 2.0]',
+            'safety.command_limit=30', 'controller.v_max=30']
 SETTLE = 4.0
 BOUND = 5.0
 """A servo that stays within this is bounded [rad]; its reference has an amplitude of 1."""
-SLACK = 1.1
+SLACK, FLOOR = 1.1, 0.0005
+"""Tracking as before: within 10 %, or within what the jitter of a busy machine adds [rad]."""
 ATTEMPTS = 4
 """Windows in which the loop may come back to tracking as before."""
+NICE = -15
 NETWORK = 'dz_fault'
 BEGIN, END = '<!-- fault table: benchmarks/faults.py writes it -->', '<!-- end of fault table -->'
 
@@ -118,7 +122,7 @@ def observe(case: Case, loop: Loop, window: float, outcome: Outcome) -> None:
     for _ in range(ATTEMPTS):
         loop.pass_time(SETTLE + window)
         after = loop.error(window)
-        if after <= SLACK * before:
+        if after <= max(SLACK * before, before + FLOOR):
             break
         if not loop.running():
             loop.reset()
@@ -127,7 +131,7 @@ def observe(case: Case, loop: Loop, window: float, outcome: Outcome) -> None:
     wrong = []
     if not loop.largest(states) < BOUND:
         wrong.append('not bounded')
-    if not after <= SLACK * before:
+    if not after <= max(SLACK * before, before + FLOOR):
         wrong.append('tracks worse')
     if case.must == RIDE and latched:
         wrong.append('latched')
@@ -233,6 +237,8 @@ def main() -> int:
     parser.add_argument('--json', action='store_true', help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    with contextlib.suppress(OSError):      # other programs are not the faults meant here
+        os.setpriority(os.PRIO_PROCESS, 0, NICE)
     outcomes = []
     for case in CASES:
         if arguments.only not in case.name:
@@ -247,7 +253,9 @@ def main() -> int:
     if arguments.json:
         return 0
     load = os.getloadavg()[0]
-    text = f'Measured on {describe("ros-rclpy", "numpy")}, load {load:.1f}.\n\n{table(outcomes)}'
+    nice = os.getpriority(os.PRIO_PROCESS, 0)
+    text = (f'Measured on {describe("ros-rclpy", "numpy")}, load {load:.1f}, nice {nice}.'
+            f'\n\n{table(outcomes)}')
     print('\n' + text)
     if arguments.write:
         path = ROOT / 'docs' / 'safety.md'

@@ -171,8 +171,8 @@ NETS = {'loss 1 %': {'loss': 0.01}, 'loss 5 %': {'loss': 0.05}, 'loss 20 %': {'l
         'delay 5 ms': {'delay': 0.005}, 'delay 20 ms': {'delay': 0.02},
         'jitter 0 to 8 ms': {'jitter': 0.008}, 'reordering 10 %': {'reorder': 0.1},
         'duplication 30 %': {'duplicate': 0.3}}
-# ε for a delay of 5 ms each way: two samples more than the transport's own.
-SLOW = {'controller.epsilon': 0.08}
+# Designed for a delay of 5 ms each way: two samples more than the transport's own.
+SLOW = {'controller.design_delay': 3}
 
 CASES = (
     Case('nothing', RIDE, lambda loop: loop.pass_time(2.0)),

@@ -1,5 +1,6 @@
 """Managed nodes as an operator meets them: transitions, e-stop, reset, watchdogs, live gains."""
 
+from dataclasses import replace
 import json
 import math
 import os
@@ -7,9 +8,14 @@ from pathlib import Path
 import signal
 import time
 
+import numpy as np
 import pytest
 
+from dz_ros.analysis.audit import audit
+from dz_ros.core.loop import simulate
 from dz_ros.core.records import Command, State, Status, Terms
+from dz_ros.files import load_configuration
+from dz_ros.recording.reader import read_run
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
@@ -292,6 +298,30 @@ def test_a_stopped_trajectory_becomes_a_fault_and_the_loop_goes_on_after_reset(
     os.kill(loop['trajectory_node'].pid, signal.SIGCONT)
     operator.wait(lambda: operator.call('controller_node/reset').success)
     operator.wait_for_mode(plant_node='running', controller_node='running')
+
+
+@pytest.mark.parametrize('limit', ['command_limit=5', 'rate_limit=60', 'ramp=0.5'])
+def test_a_limited_run_is_reproduced_bit_for_bit_by_its_audit(processes, tmp_path, limit):
+    run = processes(*DZ, 'run', 'wang2004', '--lockstep', '--duration', '2', '--quiet',
+                    '--record', tmp_path / 'run', '--set', f'safety.{limit}')
+    assert run.wait() == 0, run.output
+    data = read_run(tmp_path / 'run')
+    found = audit(data)
+    assert found.passed, found
+    v = data.channels['command']['v']
+    free = simulate(load_configuration('wang2004', ['loop.duration=2'])).v
+    assert np.abs(v[0]) < np.abs(free[0])
+    if limit == 'command_limit=5':
+        assert np.abs(v).max() == 5.0
+    frozen = data.channels['terms']['status'] == float(Status.SATURATED)
+    assert frozen.any()
+    assert np.all(data.channels['terms']['dt'][frozen] == 0.0)
+    # A command that is not what the gate lets through is found.
+    k = int(np.flatnonzero(frozen)[0])
+    values = data.channels['command'].values.copy()
+    values[k, 2] += 1e-12
+    data.channels['command'] = replace(data.channels['command'], values=values)
+    assert not audit(data).passed
 
 
 def test_diagnostics_say_what_is_wrong(loop, operator):

@@ -185,9 +185,15 @@ class ControllerGuard:
         return [self.controller.safe_answer(self._state) for _ in range(REPEATS)]
 
     def reset(self, now: float) -> str:
-        """Leave a latched mode; return why not, empty when it was left."""
+        """Leave a latched mode, release a latch of the law's own; return why not, else empty."""
+        released = self.controller.law.reset_guard(self.controller.memory)
         if not self.supervisor.latched:
-            return 'nothing is latched'
+            if released == self.controller.memory:
+                return 'nothing is latched'
+            self.controller.memory = released
+            if self._begins is not None:
+                self._begins(self.controller.count, released)
+            return ''
         if self._pressed:
             return 'the e-stop is still pressed: publish false on estop first'
         if self.supervisor.life is Life.ACTIVE and self._watch:
@@ -196,6 +202,7 @@ class ControllerGuard:
             if self._overdue(self._state):
                 return 'no reference arrives: start the trajectory first'
         self._forget_rivals()
+        self.controller.memory = released
         self.supervisor.happen(Event.RESET)
         return ''
 
