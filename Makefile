@@ -7,10 +7,10 @@ PYTEST_ARGS ?=
 bin := $(VENV)/bin
 environment = @$(PYTHON) tools/environment.py $(VENV)
 
-.PHONY: help demo test lint types docs bench colcon wheel clean distclean
+.PHONY: help demo test lint types docs bench bench-faults colcon wheel clean distclean
 
 help:  ## this list
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 	@echo 'make PYTHON=python3.12 … chooses the Python, make test PYTEST_ARGS="-k dead_zone" the tests.'
 
 demo:  ## 20 s of the paper's example in real time as four ROS 2 processes, recorded and reported
@@ -38,6 +38,10 @@ bench:  ## every figure the documents quote, measured on this machine
 	$(environment) ros test numba
 	set -e; for script in $$(grep -l __main__ benchmarks/*.py); do echo "== $$script"; \
 	  $(bin)/python $$script; done
+
+bench-faults:  ## inject faults into real loops, and write what happened into docs/safety.md
+	$(environment) ros test
+	$(bin)/python benchmarks/faults.py --write
 
 colcon:  ## build and test as a ROS package, and look at what was installed
 	$(environment) ros test colcon

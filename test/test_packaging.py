@@ -27,6 +27,7 @@ DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs
 
 IMPORTED = {
     'builtin_interfaces': ('ros-rclpy', 'builtin_interfaces'),
+    'diagnostic_msgs': ('ros-common-interfaces', 'diagnostic_msgs'),
     'matplotlib': ('matplotlib', 'python3-matplotlib'),
     'mcap': ('mcap', 'mcap-ros2-support'),
     'numpy': ('numpy', 'python3-numpy'),

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from dz_ros.analysis.audit_compare import compare_steps, explain, step_inputs, Why
 from dz_ros.analysis.audit_decisions import decide
+from dz_ros.analysis.audit_limits import compare_resting, Limits, resting
 from dz_ros.analysis.audit_messages import (
     frozen_notes,
     missing_messages,
@@ -58,6 +59,7 @@ def audit(run: RunData, configuration: Configuration | None = None) -> AuditResu
     carried = np.zeros(len(samples.seq), dtype=bool)
     edges = _edges(samples, found)
     last: tuple[float, ...] | None = None
+    limits = Limits()
     for part, (low, high) in edges:
         rows = np.arange(low, high)
         before = _memory_before(part, samples, low, last)
@@ -66,13 +68,26 @@ def audit(run: RunData, configuration: Configuration | None = None) -> AuditResu
             why.say(_among(rows, why.code), text)
             last = None
             continue
+        # The law, once stopped, takes over again with an event, which begins another part.
+        rest = resting(run, samples, rows)
+        active = int(rest.argmax()) if rest.any() and rest[rest.argmax():].all() else len(rows)
+        if active < len(rows):
+            compare_resting(run, samples, rows[active:], part.configuration, tally)
+        rows = rows[:active]
+        if not active:
+            limits.rest()
+            last = before
+            continue
         decided = decide(run, samples, rows, part.configuration)
         inputs = step_inputs(run, samples, rows, decided, part.configuration)
         outputs = compute(part.configuration, inputs, before)
+        outputs = limits.apply(samples, rows, outputs, part.configuration)
         compare_steps(run, samples, rows, decided, outputs, part.configuration, tally)
         explain(samples, rows, inputs, decided, outputs, why)
         carried[rows] = outputs.done & decided.carried
         last = outputs.last
+        if low + active < high:
+            limits.rest()
     reasons = why.reasons() + _gaps(samples)
     total = len(samples.seq) + sum(item.samples for item in reasons if item.text == GAP)
     missing = missing_messages(run, samples)

@@ -75,8 +75,14 @@ def decide(run: RunData, samples: Samples, rows: Integers, c: Configuration) -> 
     # What switched the controller off is not among the inputs: taken as recorded.
     sane = np.where((bits >= 0.0) & (bits < 256.0), bits, 0.0).astype(np.int64)
     inactive = sane & int(Status.INACTIVE)
-    dt[late | (inactive > 0)] = 0.0
-    return Decided(x_d, dt.tolist(), (status + inactive).astype(float), first | follows, carried)
+    # So is the freeze where a limit holds the command back; that it does is compared apart.
+    limits = c.safety
+    frozen = np.where((told == 0.0) & ~late & (inactive == 0) & (
+        limits.command_limit + limits.rate_limit + limits.ramp > 0.0),
+        sane & int(Status.SATURATED), 0)
+    dt[late | (inactive > 0) | (frozen > 0)] = 0.0
+    return Decided(x_d, dt.tolist(), (status + inactive + frozen).astype(float), first | follows,
+                   carried)
 
 
 def column(channel: Channel | None, label: str, rows: Integers) -> Array:

@@ -37,6 +37,9 @@ class Verb:
 
 VERBS = {
     ('run',): Verb('run', 'run the loop as ROS 2 nodes, each a process, in real time'),
+    ('status',): Verb('status', 'show how the nodes of running loops are, live'),
+    ('estop',): Verb('estop', 'stop a loop: the safe command at both ends, until reset'),
+    ('reset',): Verb('reset', 'release e-stop and faults of a loop, the actuator first'),
     ('simulate',): Verb('simulate', 'run the loop off line, as fast as the machine goes'),
     ('report',): Verb('report', "make a run's report: figures, timing, table of metrics"),
     ('list',): Verb('listing', 'list plants, laws, trajectories or configurations'),

@@ -22,6 +22,7 @@ from dz_ros.core.laws.base import Law
 from dz_ros.core.plants import PLANTS
 from dz_ros.core.plants.base import Plant
 from dz_ros.core.registry import Registry
+from dz_ros.core.safety.settings import SafetySettings
 from dz_ros.core.schema import parameter
 from dz_ros.core.trajectories import TRAJECTORIES
 from dz_ros.core.trajectories.base import Trajectory
@@ -115,6 +116,7 @@ class TrajectorySettings:
 
 SECTIONS: Mapping[str, tuple[type, Registry | None, str]] = {
     'loop': (LoopSettings, None, ''),
+    'safety': (SafetySettings, None, ''),
     'plant': (PlantSettings, PLANTS, 'Parameters'),
     'controller': (ControllerSettings, LAWS, 'Gains'),
     'trajectory': (TrajectorySettings, TRAJECTORIES, 'Parameters'),
@@ -129,7 +131,7 @@ class Configuration:
     """A checked configuration, ready to run.
 
     Attributes:
-        loop, plant_settings, controller_settings, trajectory_settings: Common settings.
+        loop, safety, plant_settings, controller_settings, trajectory_settings: Common settings.
         dead_zone: The actuator's dead-zone.
         plant: The plant.
         law: The law, for this plant's structure and this rate.
@@ -140,6 +142,7 @@ class Configuration:
     """
 
     loop: LoopSettings
+    safety: SafetySettings
     plant_settings: PlantSettings
     controller_settings: ControllerSettings
     trajectory_settings: TrajectorySettings
@@ -188,12 +191,13 @@ class Configuration:
         if len(noise) != plant.order:
             raise ConfigurationError('plant.noise', list(noise), 'must have 1 or '
                                      f'{plant.order} numbers')
-        return cls(loop, settings, controller, trajectory_settings, dead_zone, plant, law,
-                   trajectory, x0, noise, tuple(set_aside))
+        return cls(loop, built['safety'][0], settings, controller, trajectory_settings, dead_zone,
+                   plant, law, trajectory, x0, noise, tuple(set_aside))
 
     def to_flat(self) -> dict[str, Any]:
         """Return every key of this configuration with its value; arrays as lists."""
-        groups = {'loop': (self.loop,), 'plant': (self.plant_settings, self.plant.parameters),
+        groups = {'loop': (self.loop,), 'safety': (self.safety,),
+                  'plant': (self.plant_settings, self.plant.parameters),
                   'controller': (self.controller_settings, self.law.gains),
                   'trajectory': (self.trajectory_settings, self.trajectory.parameters),
                   'plant.dead_zone': (self.dead_zone,)}

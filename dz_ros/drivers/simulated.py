@@ -9,6 +9,7 @@ if need be, and the plant is integrated piece by piece between those instants (R
 from __future__ import annotations
 
 from collections import deque
+import math
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.deadzone import dead_zone, residual
 from dz_ros.core.integration import make_advance
 from dz_ros.core.records import Truth
+from dz_ros.errors import LoopError
 
 SNAP = 1e-9
 """Pieces of a sample closer than this to the whole sample, or to nothing, are that [s]."""
@@ -51,6 +53,11 @@ class SimulatedActuator:
         self._random = np.random.default_rng(c.loop.seed)
         self._pending: deque[tuple[float, float]] = deque()
 
+    def configure(self, configuration: Configuration) -> None:
+        """Give plant and dead-zone other parameters from now on; the structure is the same."""
+        self._plant = configuration.plant.constants
+        self._zone = configuration.dead_zone.constants
+
     def command(self, v: float, t: float) -> None:
         """Take a command that arrives at loop time t [s]; it acts `loop.delay` samples later."""
         if self._limit > 0.0:
@@ -71,6 +78,9 @@ class SimulatedActuator:
         Returns:
             What the plant knows of the sample `seq` it leaves: w and d of the command held at the
             end of it, the disturbance at its beginning.
+
+        Raises:
+            LoopError: The plant has diverged.
         """
         stamp = self.t
         disturbance = self._disturbance(stamp, self.x, self._plant)
@@ -92,5 +102,12 @@ class SimulatedActuator:
         else:
             steps = max(1, int(np.ceil(self._substeps * span / self._period - SNAP)))
             h = span / steps
-        self._advance(self.x, self.held, self.t, h, steps, self._plant, self._zone, *self._work)
+        try:
+            self._advance(self.x, self.held, self.t, h, steps, self._plant, self._zone,
+                          *self._work)
+        except (ArithmeticError, ValueError):
+            self.x = [math.nan] * len(self.x)
+        if not all(map(math.isfinite, self.x)):
+            raise LoopError(f'the simulated plant diverged at t = {self.t:g} s, beyond what '
+                            'numbers can hold')
         self.t = t

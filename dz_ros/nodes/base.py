@@ -47,6 +47,7 @@ class LoopNode(Node):
                                              topics.offered('events'))
         self._records: dict[str, tuple[Publisher, ArrayCodec]] = {}
         self._claims: list[Any] = []
+        self._listened: list[Any] = []
         self._counts: dict[str, int] = {}
         self._executor = executor or _executor()
         self._executor.add_node(self)
@@ -98,7 +99,25 @@ class LoopNode(Node):
             callback(numbers)
 
         qos = topics.LOCKSTEP if self.lockstep else topics.NEWEST
-        self.create_subscription(topics.TYPES[topic], topic, received, qos, raw=True)
+        self._listened.append(self.create_subscription(topics.TYPES[topic], topic, received, qos,
+                                                       raw=True))
+
+    def withdraw(self) -> None:
+        """Take back every offer and stop listening to the loop's topics."""
+        for publisher, _ in self._records.values():
+            self.destroy_publisher(publisher)
+        for subscription in self._listened:
+            self.destroy_subscription(subscription)
+        for held in self._claims:
+            held.close()
+        self._records.clear()
+        self._listened.clear()
+        self._claims.clear()
+
+    @property
+    def halted(self) -> bool:
+        """Whether the present work is to be left."""
+        return self.stopping
 
     @property
     def lockstep(self) -> bool:
@@ -150,7 +169,7 @@ class LoopNode(Node):
             *more: Further functions that say what is missing.
         """
         said = time.monotonic()
-        while not self.stopping:
+        while not self.halted:
             self.spin_until(time.monotonic() + 0.01)
             missing = self.missing() + [item for function in more for item in function()]
             if not missing:
@@ -162,15 +181,19 @@ class LoopNode(Node):
 
     def spin_until(self, deadline: float, done: Callable[[], bool] = lambda: False) -> None:
         """Serve callbacks until a time of the steady clock [s], `done` or the end."""
-        while not (self.stopping or done()):
+        while not (self.halted or done()):
             remaining = deadline - time.monotonic()
             if remaining <= 0.0:
                 return
             self._executor.spin_once(timeout_sec=min(remaining, SPIN_LIMIT))
 
-    def spin(self) -> None:
-        """Serve one callback, or none for a while."""
-        self._executor.spin_once(timeout_sec=SPIN_LIMIT)
+    def spin(self, limit: float = SPIN_LIMIT) -> None:
+        """Serve one callback, or none for a while [s]."""
+        self._executor.spin_once(timeout_sec=min(limit, SPIN_LIMIT))
+
+    def flush(self) -> None:
+        """Wait until what was published has reached its reliable listeners."""
+        deliver(self._events, *(publisher for publisher, _ in self._records.values()))
 
     def run(self) -> None:
         """Do the node's work until told to end; serve callbacks unless overridden."""
@@ -179,7 +202,7 @@ class LoopNode(Node):
 
     def close(self) -> None:
         """Let what was published reach its listeners, then release everything."""
-        deliver(self._events, *(publisher for publisher, _ in self._records.values()))
+        self.flush()
         self._executor.remove_node(self)
         self.destroy_node()
         for held in self._claims:

@@ -1,7 +1,8 @@
 """The controller as a node: answers each state at once with a command.
 
 Publishes `command` and `terms`, subscribes `reference` and, once everybody who listens to its
-commands is there, `state`. The twin without ROS is ``core/controller.py``.
+commands is there, `state`. The twins without ROS are ``core/controller.py`` and
+``core/safety/controller_guard.py``.
 """
 
 from __future__ import annotations
@@ -10,83 +11,181 @@ import time
 
 from rcl_interfaces.msg import ParameterDescriptor
 
-from dz_ros.core.controller import Controller
 from dz_ros.core.records import Command, Reference, State, Terms
+from dz_ros.core.safety.controller_guard import Answer, ControllerGuard
+from dz_ros.core.safety.health import LawHealth, Pace, percentiles, Rejections, Report, say_state
+from dz_ros.core.safety.supervisor import Supervisor
+from dz_ros.core.safety.table import Mode
 from dz_ros.errors import LoopError
-from dz_ros.nodes.base import LoopNode
-from dz_ros.nodes.parameters import configure
+from dz_ros.nodes.base import SPIN_LIMIT
+from dz_ros.nodes.guarded import GuardedNode
 from dz_ros.nodes.progress import Progress
 
 GONE_NS = 5_000_000_000
 """In lockstep, a reference that does not come within this means that its sender is gone [ns]."""
 
 
-class ControllerNode(LoopNode):
+class ControllerNode(GuardedNode):
     """Adaptive controller, or any other law."""
 
+    partner = 'state'
+
     def __init__(self) -> None:
-        super().__init__('controller_node')
-        self.configuration = configure(self, 'loop', 'structure', 'controller')
-        self._controller = Controller(self.configuration)
+        super().__init__('controller_node', 'loop', 'structure', 'controller', 'safety')
+        self._guard = ControllerGuard(self.configuration, self.changed, self._begins)
         self._order = self.configuration.plant.order
-        self._publish_command = self.offer('command', Command.labels())
-        self._publish_terms = self.offer(
-            'terms', Terms.labels(self.configuration.law.signal_names))
+        self._pace = Pace(self.configuration.loop.period)
+        self._health = LawHealth(self.configuration)
+        self._rejections = Rejections()
+        self._holds: list[float] = []
         self._waiting: tuple[State, int] | None = None
+        self._announced: tuple[int, tuple[float, ...]] | None = None
         rate = self.declare_parameter('progress_rate', 0.0, ParameterDescriptor(
             read_only=True, description='lines of progress a second on standard output, as '
             'JSON, for the program that started this node; 0 = none [Hz]')).value
         self._progress = Progress(self.configuration, rate) if rate > 0.0 else None
-        self.take('reference', Reference.labels(self._order), self._on_reference)
-        # From this command on, with this memory: all a reader needs to recompute the run.
-        self.announce('controller', seq=0, memory=self._controller.memory)
+        self.watch_parameters()
 
-    def run(self) -> None:
-        """Answer states until told to end.
+    @property
+    def supervisor(self) -> Supervisor:
+        """Life and mode."""
+        return self._guard.supervisor
+
+    def report(self) -> Report:
+        """Return how the controller has been since the last report."""
+        report = Report()
+        say_state(report, self.supervisor)
+        self._pace.report(report, not self.lockstep)
+        percentiles(self._holds, report, 'state to command')
+        self._holds.clear()
+        self._health.report(report)
+        report.put('commands', self._guard.controller.count, 'd')
+        report.put('held back by a limit', self._guard.controller.gate.limited, 'd')
+        report.put('states lost', self._guard.state_guard.skipped, 'd')
+        self._rejections.report(report, {
+            f'{topic}: {reason}': count for topic, guard in (
+                ('state', self._guard.state_guard), ('reference', self._guard.reference_guard))
+            for reason, count in guard.rejected().items()})
+        return report
+
+    def set_up(self) -> None:
+        """Offer commands, listen to references; to states only when everybody is there."""
+        self._publish_command = self.offer('command', Command.labels())
+        self._publish_terms = self.offer(
+            'terms', Terms.labels(self.configuration.law.signal_names))
+        self.take('reference', Reference.labels(self._order), self._on_reference)
+        self._listening = False
+        self._begins(self._guard.controller.count, self._guard.controller.memory)
+
+    def change_life(self, name: str) -> None:
+        """Send the safe command several times where commands were sent so far."""
+        was_active = self.supervisor.life.value == 'active'
+        self._waiting = None
+        for answer in self._guard.transition(name):
+            self._send(answer)
+        if was_active:
+            self.event('finished' if name == 'shutdown' else 'stopped', ends=['command'],
+                       ignored=self._guard.state_guard.rejected(),
+                       ignored_references=self._guard.reference_guard.rejected())
+
+    def work(self) -> bool:
+        """Answer states while active.
 
         Raises:
             LoopError: In lockstep, a reference did not come.
         """
         if not self.wait_for_peers():
-            return
-        self.take('state', State.labels(self._order), self._on_state)
-        while not self.stopping:
-            self.spin()
+            return False
+        if not self._listening:
+            self._listening = True
+            self.take('state', State.labels(self._order), self._on_state)
+        period = self.configuration.loop.period
+        while not self.halted:
+            watching = self.supervisor.mode in (Mode.RUNNING, Mode.LOST) and not self.lockstep
+            self.spin(period if watching else SPIN_LIMIT)
+            if watching:
+                self._look()
+            self.diagnosing.look()
             if self.lockstep and self._waiting is not None:
                 state, taken_ns = self._waiting
                 if time.monotonic_ns() - taken_ns > GONE_NS:
                     raise LoopError(f'no reference for sample {state.seq} within '
                                     f'{GONE_NS * 1e-9:g} s: the trajectory is gone')
-        self.event('finished', ignored=self._controller.ignored)
+        return False
+
+    def reconfigure(self) -> None:
+        """Use other gains and limits from the next sample on, and say so."""
+        self._guard.configure(self.configuration)
+        self._health.configure(self.configuration)
+        self._announced = None
+        self._begins(self._guard.controller.count, self._guard.controller.memory)
+
+    def stop_now(self, pressed: bool, reason: str) -> None:
+        """Hear the e-stop."""
+        self._send(self._guard.estop(pressed, reason))
+
+    def partner_ended(self) -> None:
+        """Hear that the plant stops in order."""
+        self._guard.end()
+
+    def reset(self) -> str:
+        """Leave a latched mode; return why not."""
+        return self._guard.reset(time.monotonic())
+
+    def _begins(self, seq: int, memory: tuple[float, ...]) -> None:
+        """Say with which configuration and memory the command `seq` is computed.
+
+        From there on a reader has all it needs to recompute the run.
+        """
+        if self._announced != (seq, memory):
+            self._announced = (seq, memory)
+            self.announce('controller', 'safety', seq=seq, memory=memory)
 
     def _on_reference(self, numbers: tuple[float, ...]) -> None:
-        self._controller.set_reference(Reference.from_numbers(numbers))
-        if self._waiting is not None and self._ready(self._waiting[0]):
+        self._guard.reference(numbers, time.monotonic())
+        if self._waiting is not None and self._guard.ready(self._waiting[0]):
             state, taken_ns = self._waiting
             self._waiting = None
             self._answer(state, taken_ns)
 
     def _on_state(self, numbers: tuple[float, ...]) -> None:
         taken_ns = time.monotonic_ns()
-        state = State.from_numbers(numbers)
-        if self._ready(state):
+        state = self._guard.take(numbers, taken_ns * 1e-9)
+        if state is None:
+            return
+        if self._guard.ready(state):
             self._answer(state, taken_ns)
         else:
             self._waiting = (state, taken_ns)
 
-    def _ready(self, state: State) -> bool:
-        """Whether a state can be answered: in lockstep it waits for its very own reference."""
-        if self.lockstep:
-            return self._controller.has_reference_for(state)
-        return self._controller.has_reference
-
     def _answer(self, state: State, taken_ns: int) -> None:
-        answer = self._controller.respond(state)
+        answer = self._guard.answer(state, taken_ns * 1e-9)
+        self._send(answer, taken_ns)
         if answer is None:
             return
         command, terms = answer
+        self._pace.sample(taken_ns * 1e-9, state.stamp)
+        self._health.sample(command.v, terms, self._guard.controller.error)
+        self._holds.append((time.monotonic_ns() - taken_ns) * 1e-9)
         if self._progress is not None:
-            self._progress.sample(state, terms, self._controller.error, command.v, taken_ns)
-        hold = 0.0 if self.lockstep else (time.monotonic_ns() - taken_ns) * 1e-9
+            self._progress.sample(state, terms, self._guard.controller.error, command.v, taken_ns)
+
+    def _look(self) -> None:
+        """Look at the clock."""
+        now = time.monotonic()
+        senders = 1
+        for topic, guard in (('state', self._guard.state_guard),
+                             ('reference', self._guard.reference_guard)):
+            if guard.rivalry(now):
+                senders = max(senders, self.count_publishers(topic))
+        self._send(self._guard.poll(now, senders))
+
+    def _send(self, answer: Answer | None, taken_ns: int = 0) -> None:
+        """Publish a command, which has passed the gate, and its terms."""
+        if answer is None or not self._records:
+            return
+        command, terms = answer
+        hold = 0.0 if self.lockstep or not taken_ns else (
+            time.monotonic_ns() - taken_ns) * 1e-9
         self._publish_command((*command.numbers()[:-1], hold))
         self._publish_terms(terms.numbers())

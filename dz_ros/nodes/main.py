@@ -19,7 +19,8 @@ from dz_ros.runtime.process import settle
 
 NODES = {'plant_node': 'PlantNode', 'controller_node': 'ControllerNode',
          'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode',
-         'replay_node': 'ReplayNode', 'feed_node': 'FeedNode'}
+         'replay_node': 'ReplayNode', 'feed_node': 'FeedNode',
+         'operator_node': 'OperatorNode'}
 """Executable → class in the module of the same name."""
 
 

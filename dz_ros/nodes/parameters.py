@@ -56,9 +56,10 @@ def descriptor(item: Field) -> ParameterDescriptor:
     """Return description, unit and range of a parameter as ROS shows them."""
     spec = item.spec
     unit = f' [{spec.unit}]' if spec.unit else ''
-    made = ParameterDescriptor(type=_TYPES[item.kind].value, read_only=True,
-                               description=spec.description + unit,
-                               additional_constraints=spec.range_text())
+    fixed = 'fixed: stop the loop and start it with another value' if spec.structural else ''
+    made = ParameterDescriptor(type=_TYPES[item.kind].value, read_only=spec.structural,
+                               description=spec.description + unit, additional_constraints='; '
+                               .join(part for part in (spec.range_text(), fixed) if part))
     bounded = math.isfinite(spec.minimum) or math.isfinite(spec.maximum)
     if bounded and item.kind == 'float':
         made.floating_point_range = [FloatingPointRange(
@@ -101,8 +102,8 @@ def configure(node: Node, *sections: str) -> Configuration:
 
     Args:
         node: The node.
-        *sections: Of loop, plant, structure (the plant's model and parameters alone, which is
-            what a controller may know of it), controller, trajectory.
+        *sections: Of loop, safety, plant, structure (the plant's model and parameters alone,
+            which is what a controller may know of it), controller, trajectory.
 
     Raises:
         ConfigurationError: A key nobody knows or a value that is not allowed.
@@ -110,6 +111,7 @@ def configure(node: Node, *sections: str) -> Configuration:
     c = Configuration.from_flat(overrides(node, SECTIONS))
     groups = {
         'loop': (('loop', c.loop),),
+        'safety': (('safety', c.safety),),
         'plant': (('plant', c.plant_settings), ('plant', c.plant.parameters),
                   ('plant.dead_zone', c.dead_zone)),
         'structure': (('plant', PlantStructure(c.plant_settings.model)),

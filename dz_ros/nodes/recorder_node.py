@@ -15,9 +15,11 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.executors import SingleThreadedExecutor
 
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.safety.health import Level, Report
 from dz_ros.errors import ConfigurationError, MessageError
 from dz_ros.nodes import topics
 from dz_ros.nodes.base import LoopNode, SPIN_LIMIT
+from dz_ros.nodes.diagnosing import Diagnosing
 from dz_ros.nodes.parameters import configure
 from dz_ros.nodes.taking import Store, Taker
 from dz_ros.recording.cdr import decode_string
@@ -28,6 +30,8 @@ from dz_ros.recording.writer import RunWriter
 
 SERVE = 0.1
 """Services, such as those of the parameters, are served this often [s]."""
+BEHIND = 2000
+"""More messages than this in the queue mean that the disk does not keep up."""
 LET_COLLECT = 0.01
 """In lockstep, where times of arrival mean nothing, messages are let collect for this long [s]."""
 QUIET = 0.2
@@ -65,6 +69,23 @@ class RecorderNode(LoopNode):
                                   topics.everything(name, self.lockstep),
                                   self._storer(name, topic))
 
+        self._stored = 0
+        self._diagnosing = Diagnosing(self, self._report)
+
+    def _report(self) -> Report:
+        """Return how the recorder is."""
+        report = Report()
+        report.put('state', 'active')
+        report.put('messages stored', self._stored, 'd')
+        report.put('messages waiting', self._writer.pending, 'd')
+        report.put('messages lost', self._writer.lost, 'd')
+        report.say(Level.OK, 'recording')
+        if self._writer.pending > BEHIND:
+            report.say(Level.WARN, f'{self._writer.pending} messages wait for the disk')
+        if self._writer.error is not None:
+            report.say(Level.ERROR, str(self._writer.error))
+        return report
+
     def _storer(self, name: str, topic: str) -> Store:
         """Return the callback that stores a topic's messages."""
         put, epoch_ns = self._writer.put, self._epoch_ns
@@ -98,12 +119,15 @@ class RecorderNode(LoopNode):
         """Record until told to end and nothing more arrives, or until the disk refuses."""
         served = 0.0
         while not self.stopping and self._writer.error is None:
-            self._taker.take_all(SPIN_LIMIT)
+            self._stored += self._taker.take_all(SPIN_LIMIT)
             if self.lockstep:       # waking up costs more than taking; the loop needs the time
                 time.sleep(LET_COLLECT)
             if time.monotonic() - served > SERVE:
                 self._executor.spin_once(timeout_sec=0.0)
                 served = time.monotonic()
+                self._diagnosing.look()
+        if self._writer.error is not None:
+            self._diagnosing.publish()
         give_up = time.monotonic() + DRAIN_LIMIT
         while self._taker.take_all(QUIET) and time.monotonic() < give_up:
             pass

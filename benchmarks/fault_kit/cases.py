@@ -1,0 +1,197 @@
+"""The faults: what is injected, what must happen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+import math
+import os
+from pathlib import Path
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from typing import Any
+
+from fault_kit.loop import Loop
+from std_msgs.msg import Bool
+
+from dz_ros.core.records import Command, State
+
+RIDE, LATCH, EITHER = 'rides through', 'safe, then fault until reset', 'safe; fault if it lasts'
+RELAY = {'controller_node': (), 'trajectory_node': (),
+         'plant_node': ('-r', 'state:=plant_state', '-r', 'command:=plant_command')}
+
+
+class SkippedError(Exception):
+    """The fault cannot be injected here; the message says why."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One fault.
+
+    Attributes:
+        name: What is injected.
+        must: What must happen: RIDE, LATCH or EITHER.
+        inject: Does it, and undoes it where it can be undone.
+        silence: Whether the commands stop, so that the hold is measured.
+        settings: Dotted keys that differ.
+        network: Faults of the relay between the halves of the loop; empty = no relay.
+        two_hosts: Whether the halves run in network namespaces of their own.
+        shifted: Whether the wall clock of the nodes can be shifted.
+    """
+
+    name: str
+    must: str
+    inject: Callable[[Loop], None]
+    silence: bool = False
+    settings: dict[str, Any] = field(default_factory=dict)
+    network: dict[str, float] = field(default_factory=dict)
+    two_hosts: bool = False
+    shifted: bool = False
+
+
+def kill(name: str) -> Callable[[Loop], None]:
+    """Kill a node and start it again."""
+    def inject(loop: Loop) -> None:
+        loop.processes[name].kill()
+        loop.processes[name].wait()
+        time.sleep(0.8)
+        seen = len(loop.heard['state'])
+        loop.start(name)
+        loop.until(lambda: len(loop.heard['state']) > seen + 5)
+        time.sleep(4.0)
+    return inject
+
+
+def freeze(name: str, seconds: float) -> Callable[[Loop], None]:
+    """Stop a process for a while."""
+    def inject(loop: Loop) -> None:
+        os.kill(loop.processes[name].pid, signal.SIGSTOP)
+        time.sleep(seconds)
+        os.kill(loop.processes[name].pid, signal.SIGCONT)
+        time.sleep(1.0)
+    return inject
+
+
+def messages(kind: str) -> Callable[[Loop], None]:
+    """Send bad commands and states beside the good ones, 200 of each."""
+    def inject(loop: Loop) -> None:
+        for _ in range(200):
+            for topic in ('command', 'state'):
+                row = loop.heard[topic][-1][1]
+                labels = Command.labels() if topic == 'command' else State.labels(len(row) - 5)
+                numbers = [row[0] + 1.0, *row[1:]]
+                if kind in ('nan', 'inf'):
+                    numbers[2] = math.nan if kind == 'nan' else math.inf
+                elif kind == 'truncated':
+                    numbers = numbers[:2]
+                else:
+                    labels = ('v', *labels[1:])
+                loop.send(topic, numbers, labels)
+            time.sleep(0.005)
+    return inject
+
+
+def two_controllers(loop: Loop) -> None:
+    """Answer every state a second time, from another publisher with its own seq."""
+    end, seq = time.monotonic() + 2.0, 0
+    while time.monotonic() < end:
+        state = loop.heard['state'][-1][1]
+        loop.send('command', (seq, state[1], 3.0, state[0], state[1], 0.0))
+        seq += 1
+        time.sleep(0.005)
+
+
+def press(loop: Loop) -> None:
+    """Press the e-stop at full speed, release it a second later."""
+    loop.until(lambda: abs(loop.heard['state'][-1][1][3]) > 1.8, 10.0)
+    loop.pressed = time.monotonic()     # type: ignore[attr-defined]
+    loop.estop.publish(Bool(data=True))
+    time.sleep(1.0)
+    loop.estop.publish(Bool(data=False))
+    time.sleep(0.2)
+
+
+def busy(_loop: Loop) -> None:
+    """Keep every core busy with as many processes again as there are cores."""
+    burners = [subprocess.Popen([sys.executable, '-c', 'while True: pass'])
+               for _ in range(os.cpu_count() or 1)]
+    time.sleep(6.0)
+    for item in burners:
+        item.kill()
+        item.wait()
+
+
+def full_disk(loop: Loop) -> None:
+    """Let the recorder's file reach the largest size it may have, then read what is there."""
+    folder = Path(tempfile.mkdtemp(prefix='dz_ros-fault-'))
+    try:
+        recorder = loop.start(
+            'recorder_node', '-p', f'directory:={folder / "run"}',
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000)))
+        loop.until(lambda: recorder.poll() is not None)
+        del loop.processes['recorder_node']
+        found = subprocess.run([sys.executable, '-m', 'dz_ros', 'bag', 'recover',
+                                str(folder / 'run'), str(folder / 'whole')], cwd=folder.parent,
+                               capture_output=True, text=True, check=False)
+        if recorder.returncode != 2 or found.returncode:
+            raise AssertionError(f'recorder {recorder.returncode}, recover: {found.stderr}')
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def step_clock(_loop: Loop) -> None:
+    """Set the nodes' wall clock an hour ahead, then an hour back."""
+    for shift in ('3600', '-3600', '0'):
+        Path(os.environ['CLOCK_SHIFT_FILE']).write_text(shift)
+        time.sleep(1.5)
+
+
+def cut_link(_loop: Loop) -> None:
+    """Cut the link between the two hosts for two seconds."""
+    def link(state: str) -> None:
+        subprocess.run(['ip', 'link', 'set', 'dzA', state], check=True)
+    link('down')
+    time.sleep(2.0)
+    link('up')
+    time.sleep(5.0)
+
+
+def nothing(loop: Loop) -> None:
+    """Let the network's faults be."""
+    loop.pass_time(4.0)
+
+
+NETS = {'loss 1 %': {'loss': 0.01}, 'loss 5 %': {'loss': 0.05}, 'loss 20 %': {'loss': 0.2},
+        'delay 5 ms': {'delay': 0.005}, 'delay 20 ms': {'delay': 0.02},
+        'jitter 0 to 8 ms': {'jitter': 0.008}, 'reordering 10 %': {'reorder': 0.1},
+        'duplication 30 %': {'duplicate': 0.3}}
+# Designed for a delay of 5 ms each way: two samples more than the transport's own.
+SLOW = {'controller.design_delay': 3}
+
+CASES = (
+    Case('nothing', RIDE, lambda loop: loop.pass_time(2.0)),
+    *(Case(f'kill -9 {name}, restart', LATCH, kill(name), silence=name == 'controller_node')
+      for name in ('plant_node', 'controller_node', 'trajectory_node')),
+    *(Case(f'SIGSTOP {name} {round(seconds * 1000)} ms', EITHER if seconds < 1.0 else LATCH,
+           freeze(name, seconds), silence=name == 'controller_node')
+      for name in ('plant_node', 'controller_node', 'trajectory_node')
+      for seconds in (0.05, 0.5, 5.0)),
+    *(Case(f'{kind} messages', RIDE, messages(kind))
+      for kind in ('nan', 'inf', 'truncated', 'mislabelled')),
+    Case('two controllers', LATCH, two_controllers),
+    Case('wall clock ±1 h', RIDE, step_clock, shifted=True),
+    *(Case(name, EITHER, nothing, network=net, settings=SLOW if 'delay' in net else {})
+      for name, net in NETS.items()),
+    Case('loss 5 % and delay 5 ms', RIDE, nothing, network={'loss': 0.05, 'delay': 0.005},
+         settings=SLOW),
+    Case('link cut 2 s between two hosts', LATCH, cut_link, two_hosts=True),
+    Case('every core busy', EITHER, busy),
+    Case("recorder's disk full", RIDE, full_disk),
+    Case('e-stop at full speed', LATCH, press),
+)

@@ -1,0 +1,269 @@
+"""Faults injected into a real loop: what must happen, what did, how soon the actuator was safe.
+
+    python benchmarks/faults.py                  all of them; about twelve minutes
+    python benchmarks/faults.py --only kill      those whose name contains a word
+    python benchmarks/faults.py --write          write the table into docs/safety.md as well
+
+Each fault has a loop of its own: plant, controller and trajectory as processes over DDS, the
+servo of config/servo.yaml on a sinusoid. Before the fault max|x̃| is taken, then the fault, then
+the reset services where something is latched, then max|x̃| again.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+import contextlib
+from contextlib import contextmanager
+from dataclasses import dataclass
+import json
+import os
+from pathlib import Path
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+
+from machine import describe
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(ROOT / 'benchmarks'))
+
+from fault_kit.cases import Case, CASES, LATCH, RELAY, RIDE, SkippedError  # noqa: E402
+from fault_kit.loop import Loop, NODES  # noqa: E402
+
+from dz_ros.files import load_configuration, write_parameters  # noqa: E402
+
+SETTINGS = ['loop.duration=0', 'controller.law=robust', 'trajectory.kind=sinusoid',
+            'trajectory.amplitude=1.0', 'trajectory.frequency=2.0', 'plant.x0=[0.0, 2.0]',
+            'safety.command_limit=30', 'controller.v_max=30']
+SETTLE = 4.0
+BOUND = 5.0
+"""A servo that stays within this is bounded [rad]; its reference has an amplitude of 1."""
+SLACK, FLOOR = 1.1, 0.0005
+"""Tracking as before: within 10 %, or within what the jitter of a busy machine adds [rad]."""
+ATTEMPTS = 4
+"""Windows in which the loop may come back to tracking as before."""
+NICE = -15
+NETWORK = 'dz_fault'
+BEGIN, END = '<!-- fault table: benchmarks/faults.py writes it -->', '<!-- end of fault table -->'
+
+
+@dataclass
+class Outcome:
+    """What a fault did, as cells of the table."""
+
+    name: str
+    must: str
+    safe: str = ''
+    modes: str = ''
+    largest: str = ''
+    error: str = ''
+    verdict: str = ''
+
+
+def run_case(case: Case, window: float) -> Outcome:
+    """Inject one fault into a loop of its own."""
+    outcome = Outcome(case.name, case.must)
+    settings = {**case.settings, **({'loop.peers': ['plant_node']} if case.network else {})}
+    configuration = load_configuration(
+        ROOT / 'config' / 'servo.yaml',
+        [*SETTINGS, *(f'{key}={json.dumps(value)}' for key, value in settings.items())])
+    with tempfile.TemporaryDirectory(prefix='dz_ros-fault-') as folder:
+        parameters = Path(folder) / 'parameters.yaml'
+        write_parameters(configuration, parameters)
+        try:
+            environment = clock_shift(Path(folder)) if case.shifted else {}
+            with two_hosts(case) as prefix, Loop(configuration, parameters, environment, prefix,
+                                                 RELAY if case.network else None) as loop:
+                if case.network:
+                    loop.run_beside('relay', [sys.executable, str(
+                        ROOT / 'benchmarks' / 'fault_kit' / 'relay.py'),
+                        json.dumps(case.network)])
+                observe(case, loop, window, outcome)
+        except SkippedError as error:
+            outcome.verdict = f'skipped: {error}'
+    return outcome
+
+
+def observe(case: Case, loop: Loop, window: float, outcome: Outcome) -> None:
+    """Let the loop run, inject the fault, reset, and fill in the outcome."""
+    if not loop.until(loop.running):
+        outcome.verdict = 'FAILED: the loop never started'
+        return
+    for _ in range(ATTEMPTS):       # a busy machine may itself have been a fault
+        loop.pass_time(SETTLE + window)
+        if loop.running():
+            break
+        loop.reset()
+    before = loop.error(window)
+    states, truths, began = len(loop.heard['state']), len(loop.heard['truth']), time.monotonic()
+    case.inject(loop)
+    loop.until(lambda: len(loop.heard['state']) > states + 100, 10.0)
+    seen = [f'{name.removesuffix("_node")} {mode}' + (f' ({why})' if why else '')
+            for name in NODES for when, mode, why in loop.modes[name]
+            if when > began and mode in ('lost', 'fault', 'estop')]
+    latched = any(' fault' in item or ' estop' in item for item in seen)
+    refused = ''
+    for _ in range(10):
+        if not latched or loop.running():
+            break
+        refused = loop.reset()
+        loop.until(loop.running, 3.0)
+    outcome.safe = how_soon(case, loop, truths, began)
+    shown = dict.fromkeys(seen)
+    outcome.modes = '; '.join(list(shown)[:4]) + (' …' if len(shown) > 4 else '') or '-'
+    if not loop.until(loop.running, 10.0):
+        outcome.verdict = f'FAILED: not running again; {refused}'
+        return
+    since = loop.now()
+    for _ in range(ATTEMPTS):
+        loop.pass_time(SETTLE + window)
+        after = loop.error(window)
+        if after <= max(SLACK * before, before + FLOOR):
+            break
+        if not loop.running():
+            loop.reset()
+    outcome.largest = f'{loop.largest(states):.2f}'
+    outcome.error = f'{before * 1e3:.2f} → {after * 1e3:.2f} in {loop.now() - since:.0f} s'
+    wrong = []
+    if not loop.largest(states) < BOUND:
+        wrong.append('not bounded')
+    if not after <= max(SLACK * before, before + FLOOR):
+        wrong.append('tracks worse')
+    if case.must == RIDE and latched:
+        wrong.append('latched')
+    if case.must == LATCH and not latched:
+        wrong.append('did not latch')
+    if case.silence and 'samples' in outcome.safe and float(outcome.safe.split()[0]) > 3.0:
+        wrong.append('safe command late')
+    outcome.verdict = 'FAILED: ' + ', '.join(wrong) if wrong else 'as it must'
+
+
+def how_soon(case: Case, loop: Loop, truths: int, began: float) -> str:
+    """Return how soon the actuator held the safe command, in words; '-' if it never did."""
+    rows = [(when, row) for when, row in loop.heard['truth'][truths:]
+            if abs(loop.held(row)) < 1e-12]
+    if not rows or case.must == RIDE:
+        return '-'
+    when, row = rows[0]
+    pressed = getattr(loop, 'pressed', None)
+    if pressed is not None:
+        command = next((at for at, item in loop.heard['command'] if at > pressed
+                        and item[2] == 0.0), when)
+        return f'{(when - pressed) * 1e3:.0f} ms, command {(command - pressed) * 1e3:.0f} ms'
+    last = [item for _, item in loop.heard['command'] if item[2] != 0.0 and item[1] <= row[1]]
+    if case.silence and last:
+        return f'{round((row[1] - last[-1][1]) / loop.period)} samples'
+    return f'{(when - began) * 1e3:.0f} ms'
+
+
+@contextmanager
+def two_hosts(case: Case) -> Iterator[dict[str, list[str]]]:
+    """Give controller and trajectory a host of their own; this process is the other one."""
+    if not case.two_hosts:
+        yield {}
+        return
+    if os.environ.get('DZ_FAULT_HOST') != 'A':
+        raise SkippedError('network namespaces are not permitted here')
+    hosted = ['ip', 'netns', 'exec', f'{NETWORK}B']
+    yield dict.fromkeys(('controller_node', 'trajectory_node'), hosted)
+
+
+def in_two_hosts(case: Case, window: float) -> Outcome:
+    """Run this program again inside a network namespace that is linked to another one."""
+    steps = ([f'ip netns add {NETWORK}{side}' for side in 'AB']
+             + [f'ip link add dzA netns {NETWORK}A type veth peer name dzB netns {NETWORK}B']
+             + [line for side, number in (('A', 1), ('B', 2)) for line in (
+                 f'ip -n {NETWORK}{side} addr add 10.77.0.{number}/24 dev dz{side}',
+                 f'ip -n {NETWORK}{side} link set dz{side} up',
+                 f'ip -n {NETWORK}{side} link set lo up',
+                 f'ip -n {NETWORK}{side} route add 224.0.0.0/4 dev dz{side}')])
+    try:
+        for step in steps:
+            try:
+                subprocess.run(step.split(), check=True, capture_output=True, text=True)
+            except (OSError, subprocess.CalledProcessError) as error:
+                why = getattr(error, 'stderr', '') or str(error)
+                return Outcome(case.name, case.must, verdict=f'skipped: {step}: {why.strip()}')
+        environment = {**os.environ, 'DZ_FAULT_HOST': 'A', 'FASTDDS_BUILTIN_TRANSPORTS': 'UDPv4',
+                       'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SUBNET'}
+        done = subprocess.run(['ip', 'netns', 'exec', f'{NETWORK}A', sys.executable, __file__,
+                               '--only', case.name, '--json', '--window', str(window)],
+                              env=environment, capture_output=True, text=True, check=False)
+        try:
+            return Outcome(**json.loads(done.stdout.splitlines()[-1]))
+        except (IndexError, ValueError, TypeError):
+            return Outcome(case.name, case.must,
+                           verdict='FAILED: ' + (done.stderr.splitlines() or ['?'])[-1])
+    finally:
+        for side in 'AB':
+            subprocess.run(['ip', 'netns', 'del', f'{NETWORK}{side}'], capture_output=True,
+                           check=False)
+
+
+def clock_shift(folder: Path) -> dict[str, str]:
+    """Return the environment in which the nodes' wall clock can be shifted."""
+    library = folder / 'clock.so'
+    compiler = shutil.which('cc')
+    if compiler is None:
+        raise SkippedError('no C compiler for the clock that can be shifted')
+    subprocess.run([compiler, '-shared', '-fPIC', '-O2', '-o', str(library), str(
+        ROOT / 'benchmarks' / 'fault_kit' / 'clock.c'), '-ldl'], check=True)
+    shift = folder / 'shift'
+    shift.write_text('0')
+    os.environ['CLOCK_SHIFT_FILE'] = str(shift)
+    return {'LD_PRELOAD': str(library), 'CLOCK_SHIFT_FILE': str(shift)}
+
+
+def table(outcomes: list[Outcome]) -> str:
+    """Return the outcomes as a Markdown table."""
+    lines = ['| fault | must | actuator safe after | modes on the way | max\\|x\\| [rad] | '
+             'max\\|x̃\\| before → after [mrad] | verdict |', '|---|---|---|---|---|---|---|']
+    lines += [f'| {item.name} | {item.must} | {item.safe} | {item.modes} | {item.largest} | '
+              f'{item.error} | {item.verdict} |' for item in outcomes]
+    return '\n'.join(lines)
+
+
+def main() -> int:
+    """Inject the faults asked for; return how many did not end as they must."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--only', default='', metavar='WORD')
+    parser.add_argument('--window', type=float, default=10.0, metavar='S',
+                        help='max|x̃| is taken over so long (default: %(default)s)')
+    parser.add_argument('--write', action='store_true')
+    parser.add_argument('--json', action='store_true', help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    with contextlib.suppress(OSError):      # other programs are not the faults meant here
+        os.setpriority(os.PRIO_PROCESS, 0, NICE)
+    outcomes = []
+    for case in CASES:
+        if arguments.only not in case.name:
+            continue
+        again = case.two_hosts and os.environ.get('DZ_FAULT_HOST') != 'A'
+        outcome = in_two_hosts(case, arguments.window) if again else run_case(
+            case, arguments.window)
+        outcomes.append(outcome)
+        print(json.dumps(vars(outcome)) if arguments.json else
+              f'{outcome.name}: {outcome.verdict}   [safe after {outcome.safe or "-"}; '
+              f'{outcome.modes}; {outcome.error} mrad]', flush=True)
+    if arguments.json:
+        return 0
+    load = os.getloadavg()[0]
+    nice = os.getpriority(os.PRIO_PROCESS, 0)
+    text = (f'Measured on {describe("ros-rclpy", "numpy")}, load {load:.1f}, nice {nice}.'
+            f'\n\n{table(outcomes)}')
+    print('\n' + text)
+    if arguments.write:
+        path = ROOT / 'docs' / 'safety.md'
+        old = path.read_text(encoding='utf-8')
+        head, rest = old.split(BEGIN)
+        path.write_text(f'{head}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}', encoding='utf-8')
+    return sum(item.verdict.startswith('FAILED') for item in outcomes)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

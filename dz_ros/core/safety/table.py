@@ -1,0 +1,108 @@
+"""States of a node of the loop, what changes them and what is done then (ours).
+
+Two machines side by side. The *life* is that of every managed node of ROS 2; it says whether
+commands are sent or taken at all. The *mode* says, at either end of the loop, whether it is the
+law's command or the safe one. A latched mode outlives deactivation: only a reset ends it.
+docs/safety.md repeats both tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import enum
+
+
+class Life(enum.Enum):
+    """Primary states of a managed node."""
+
+    UNCONFIGURED = 'unconfigured'
+    INACTIVE = 'inactive'
+    ACTIVE = 'active'
+    FINALIZED = 'finalized'
+
+
+class Mode(enum.Enum):
+    """What an end of the loop lets through."""
+
+    WAITING = 'waiting'
+    """Safe command; nothing wrong, the input has not begun or has ended in order."""
+    RUNNING = 'running'
+    """The law's command."""
+    LOST = 'lost'
+    """Safe command; the input is stale and may come back by itself."""
+    FAULT = 'fault'
+    """Safe command, latched."""
+    ESTOP = 'estop'
+    """Safe command, latched by a person."""
+
+
+class Event(enum.Enum):
+    """What happens to an end of the loop."""
+
+    INPUT = 'input'
+    """A fresh input was accepted."""
+    STALE = 'stale'
+    """The input is older than its hold."""
+    EXPIRED = 'expired'
+    """It has been so for safety.fault_after samples."""
+    END = 'end'
+    """The other end has said that it stops, after going to its safe command."""
+    FAULT = 'fault'
+    """A guard was violated; the reason comes with it."""
+    ESTOP = 'estop'
+    """The e-stop, by topic or service."""
+    RESET = 'reset'
+    """The reset service, granted."""
+    STOP = 'stop'
+    """This node is deactivated or shut down."""
+
+
+class Action(enum.Enum):
+    """What is done on entering the next mode."""
+
+    NONE = '-'
+    START = 'start'
+    """The law takes over from the present state: estimates as configured, rate and ramp from
+    the safe command."""
+    SAFE = 'safe'
+    """The safe command goes out at once."""
+
+
+_M, _E, _A = Mode, Event, Action
+
+MODES: Mapping[tuple[Mode, Event], tuple[Mode, Action]] = {
+    (_M.WAITING, _E.INPUT): (_M.RUNNING, _A.START),
+    (_M.WAITING, _E.FAULT): (_M.FAULT, _A.SAFE),
+    (_M.WAITING, _E.ESTOP): (_M.ESTOP, _A.SAFE),
+    (_M.RUNNING, _E.STALE): (_M.LOST, _A.SAFE),
+    (_M.RUNNING, _E.END): (_M.WAITING, _A.NONE),
+    (_M.RUNNING, _E.FAULT): (_M.FAULT, _A.SAFE),
+    (_M.RUNNING, _E.ESTOP): (_M.ESTOP, _A.SAFE),
+    (_M.RUNNING, _E.STOP): (_M.WAITING, _A.SAFE),
+    (_M.LOST, _E.INPUT): (_M.RUNNING, _A.START),
+    (_M.LOST, _E.EXPIRED): (_M.FAULT, _A.SAFE),
+    (_M.LOST, _E.END): (_M.WAITING, _A.NONE),
+    (_M.LOST, _E.FAULT): (_M.FAULT, _A.SAFE),
+    (_M.LOST, _E.ESTOP): (_M.ESTOP, _A.SAFE),
+    (_M.LOST, _E.STOP): (_M.WAITING, _A.SAFE),
+    (_M.FAULT, _E.ESTOP): (_M.ESTOP, _A.SAFE),
+    (_M.FAULT, _E.RESET): (_M.WAITING, _A.NONE),
+    (_M.FAULT, _E.STOP): (_M.FAULT, _A.SAFE),
+    (_M.ESTOP, _E.RESET): (_M.WAITING, _A.NONE),
+    (_M.ESTOP, _E.STOP): (_M.ESTOP, _A.SAFE),
+}
+"""(mode, event) → (next mode, action); what is not here changes nothing."""
+
+LATCHED = (Mode.FAULT, Mode.ESTOP)
+"""Modes that only a reset ends."""
+
+LIFE: Mapping[tuple[Life, str], tuple[Life, Event | None]] = {
+    (Life.UNCONFIGURED, 'configure'): (Life.INACTIVE, None),
+    (Life.INACTIVE, 'cleanup'): (Life.UNCONFIGURED, None),
+    (Life.INACTIVE, 'activate'): (Life.ACTIVE, None),
+    (Life.ACTIVE, 'deactivate'): (Life.INACTIVE, Event.STOP),
+    (Life.UNCONFIGURED, 'shutdown'): (Life.FINALIZED, None),
+    (Life.INACTIVE, 'shutdown'): (Life.FINALIZED, None),
+    (Life.ACTIVE, 'shutdown'): (Life.FINALIZED, Event.STOP),
+}
+"""(life, transition) → (next life, event for the mode)."""

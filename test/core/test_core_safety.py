@@ -1,0 +1,483 @@
+"""Guards, gate, watchdogs and states one by one."""
+
+import itertools
+import math
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.controller import Controller
+from dz_ros.core.loop import simulate
+from dz_ros.core.records import Command, Reference, State, Status
+from dz_ros.core.safety.actuator_guard import ActuatorGuard
+from dz_ros.core.safety.controller_guard import ControllerGuard, REPEATS
+from dz_ros.core.safety.gate import OutputGate
+from dz_ros.core.safety.guards import FutureGuard, JUMP, RIVALS, SequenceGuard, Verdict
+from dz_ros.core.safety.settings import SafetySettings
+from dz_ros.core.safety.supervisor import Supervisor
+from dz_ros.core.safety.table import Action, Event, LATCHED, LIFE, Life, Mode, MODES
+from dz_ros.errors import ConfigurationError
+
+T = 0.005
+
+
+# --- the tables
+
+@pytest.mark.parametrize('mode', Mode)
+def test_estop_and_fault_always_latch_and_the_safe_command_goes_out(mode):
+    for event, goal in ((Event.ESTOP, Mode.ESTOP), (Event.FAULT, Mode.FAULT)):
+        supervisor = Supervisor()
+        supervisor.mode = mode
+        action = supervisor.happen(event)
+        assert supervisor.mode is (Mode.ESTOP if mode is Mode.ESTOP else goal)
+        if mode not in LATCHED:
+            assert action is Action.SAFE
+
+
+def test_only_a_reset_leaves_a_latched_mode():
+    for (mode, event), (following, _) in MODES.items():
+        if mode in LATCHED and following not in LATCHED:
+            assert event is Event.RESET
+    for mode, event in MODES:
+        assert event is not Event.RESET or mode in LATCHED
+
+
+def test_the_law_starts_only_on_fresh_input():
+    for (_, event), (following, action) in MODES.items():
+        assert (following is Mode.RUNNING) == (event is Event.INPUT) == (action is Action.START)
+
+
+def test_every_way_out_of_running_that_may_leave_the_actuator_moving_is_safe():
+    for (mode, event), (following, action) in MODES.items():
+        if mode is Mode.RUNNING and following is not Mode.RUNNING:
+            assert action is Action.SAFE or event is Event.END
+
+
+def test_life_follows_the_standard_and_a_latch_outlives_it():
+    changes = []
+    supervisor = Supervisor(changes.append)
+    for name in ('configure', 'activate'):
+        supervisor.transition(name)
+    supervisor.happen(Event.INPUT)
+    assert supervisor.running
+    supervisor.happen(Event.FAULT, 'why')
+    for name, life in (('deactivate', Life.INACTIVE), ('cleanup', Life.UNCONFIGURED),
+                       ('configure', Life.INACTIVE), ('activate', Life.ACTIVE)):
+        supervisor.transition(name)
+        assert (supervisor.life, supervisor.mode, supervisor.reason) == (life, Mode.FAULT, 'why')
+    supervisor.transition('shutdown')
+    assert supervisor.life is Life.FINALIZED
+    with pytest.raises(LookupError):
+        supervisor.transition('activate')
+    assert [change.mode for change in changes] == [Mode.RUNNING, Mode.FAULT]
+    assert {life for life, _ in LIFE} | {Life.FINALIZED} == set(Life)
+
+
+# --- the gate
+
+def test_with_everything_off_the_very_number_comes_out():
+    gate = OutputGate(SafetySettings(), T)
+    gate.start(0.0)
+    for k, v in enumerate((0.1, -1e300, 5e-324, -0.0, 16.734958)):
+        out = gate.let_out(v, k * T)
+        assert (out, math.copysign(1.0, out)) == (v, math.copysign(1.0, v))
+    assert (gate.limited, gate.refused) == (0, 0)
+
+
+@pytest.mark.parametrize('v', [math.nan, math.inf, -math.inf])
+def test_what_is_not_finite_comes_out_safe(v):
+    for settings in (SafetySettings(safe_command=0.25),
+                     SafetySettings(safe_command=0.25, command_limit=5.0, rate_limit=1.0)):
+        gate = OutputGate(settings, T)
+        assert gate.let_out(v, 0.0) == gate.output == 0.25
+        assert gate.refused == 1
+
+
+@given(st.lists(st.tuples(st.floats(), st.floats())), st.floats(0.0, 1e300), st.floats(0.0, 10.0),
+       st.sampled_from([0.0, 2.0]), st.floats(-1.0, 1.0))
+def test_nothing_else_ever_comes_out(commands, rate, ramp, limit, safe):
+    gate = OutputGate(SafetySettings(rate_limit=rate, ramp=ramp, command_limit=limit,
+                                     safe_command=safe), T)
+    gate.start(0.0)
+    for v, t in commands:
+        out = gate.let_out(v, t)
+        assert math.isfinite(out)
+        assert limit == 0.0 or abs(out) <= limit
+
+
+def test_limits_on_value_and_rate_and_the_ramp():
+    gate = OutputGate(SafetySettings(command_limit=2.0), T)
+    assert [gate.let_out(v, 0.0) for v in (1.0, 3.0, -3.0)] == [1.0, 2.0, -2.0]
+    gate = OutputGate(SafetySettings(rate_limit=100.0, safe_command=1.0), T)
+    gate.start(7.0)
+    steps = [gate.let_out(10.0, 7.0 + k * T) for k in range(4)]
+    assert steps == pytest.approx([1.5, 2.0, 2.5, 3.0])
+    # After a long pause it moves by three samples' worth, not by the pause's.
+    assert gate.let_out(10.0, 99.0) == pytest.approx(4.5)
+    assert gate.safe(99.1) == 1.0       # the way to the safe command has no limit
+    gate = OutputGate(SafetySettings(ramp=0.1, safe_command=1.0), T)
+    gate.start(2.0)
+    assert gate.let_out(3.0, 2.0) == 1.0
+    assert gate.let_out(3.0, 2.05) == pytest.approx(2.0)
+    assert gate.let_out(3.0, 2.2) == 3.0
+
+
+# --- guards of messages
+
+def judge(guard, *numbers, now=0.0, resync=False):
+    return guard.judge(numbers, now, resync)
+
+
+def test_each_kind_of_bad_message_has_its_name_and_is_counted():
+    guard = SequenceGuard()
+    assert judge(guard, 5.0, 1.0) is Verdict.TAKEN
+    expected = {(5.0, 1.0): Verdict.REPEATED, (5.0, 2.0): Verdict.CONFLICT,
+                (4.0, 1.0): Verdict.BACK, (5.5, 1.0): Verdict.BAD_SEQ,
+                (6.0, math.nan): Verdict.NOT_FINITE, (math.inf, 1.0): Verdict.NOT_FINITE,
+                (-1.0, 0.0): Verdict.BAD_SEQ, (2.0 ** 53, 0.0): Verdict.BAD_SEQ,
+                (6.0 + JUMP, 0.0): Verdict.JUMP}
+    for numbers, verdict in expected.items():
+        assert judge(guard, *numbers) is verdict, numbers
+    assert judge(guard, 9.0, 0.0) is Verdict.TAKEN
+    assert guard.skipped == 3
+    assert sum(guard.rejected().values()) == len(expected)
+    # Where a sender may have started anew any seq is right, but only a seq.
+    assert judge(guard, 0.0, 0.0, resync=True) is Verdict.TAKEN
+    assert judge(guard, math.nan, 0.0, resync=True) is Verdict.NOT_FINITE
+
+
+def test_two_senders_are_seen_by_their_numbers_duplicates_and_one_restart_are_not():
+    guard = SequenceGuard()
+    for k in range(3 * RIVALS):
+        judge(guard, 1000.0 + k, 0.0, now=k * T)
+        judge(guard, 1000.0 + k, 0.0, now=k * T)        # duplicated on the way
+    assert not guard.rivalry(3 * RIVALS * T)
+    for k in range(RIVALS):
+        judge(guard, 1100.0 + k, 0.0, now=1.0 + k * T)
+        judge(guard, 20.0 + k, 0.0, now=1.0 + k * T)
+    assert guard.rivalry(1.0 + RIVALS * T)
+    assert not guard.rivalry(5.0)
+    guard.forget_rivals()
+    assert not guard.rivalry(1.0 + RIVALS * T)
+
+
+def test_a_stamp_from_the_future_is_one_ahead_of_the_quickest_transport():
+    guard = FutureGuard()
+    assert not guard.ahead(100.0, 5.0, 0.015)
+    assert not guard.ahead(100.005, 5.001, 0.015)
+    assert guard.ahead(100.035, 5.010, 0.015)
+    assert not guard.ahead(100.035, 5.010, 0.0)         # off
+    guard.restart()
+    assert not guard.ahead(-3600.0, 5.2, 0.015)
+
+
+# --- the actuator's end
+
+class Actuator:
+    """An active guard that is sent one command a sample."""
+
+    def __init__(self, **settings):
+        self.guard = ActuatorGuard(SafetySettings(**{'fault_after': 80, **settings}), T)
+        for name in ('configure', 'activate'):
+            self.guard.transition(name, 0.0)
+        self.seq = -1
+
+    def send(self, v=1.0, t=None, **changes):
+        self.seq += 1
+        t = self.seq * T if t is None else t
+        fields = {'seq': self.seq, 'stamp': t, 'v': v, 'echo_seq': self.seq, 'echo_stamp': t}
+        return self.guard.command(Command(**{**fields, **changes}).numbers(), self.seq, t)
+
+    @property
+    def mode(self):
+        return self.guard.supervisor.mode
+
+
+def test_silence_ends_in_the_safe_command_after_the_hold_and_in_a_fault_later():
+    actuator = Actuator(command_hold=3, fault_after=80)
+    assert actuator.send(2.0) == actuator.guard.output == 2.0
+    assert actuator.guard.poll(3 * T) is None
+    assert actuator.guard.poll(3.2 * T) == (0.0, pytest.approx(3 * T))
+    assert actuator.mode is Mode.LOST
+    assert actuator.send(2.0, t=10 * T, echo_stamp=9 * T) == 2.0
+    assert actuator.guard.poll(14 * T) is not None
+    assert actuator.guard.poll(91 * T) is None
+    assert (actuator.mode, actuator.guard.supervisor.reason) == (Mode.FAULT, 'no command')
+    assert actuator.send(2.0, t=92 * T) is None
+    assert actuator.guard.output == 0.0
+
+
+def test_a_process_that_slept_finds_both_at_once():
+    actuator = Actuator()
+    actuator.send(2.0)
+    assert actuator.guard.poll(5.0) == (0.0, pytest.approx(3 * T))
+    assert actuator.mode is Mode.FAULT
+
+
+@pytest.mark.parametrize('changes', [
+    {'v': math.nan}, {'v': math.inf}, {'seq': 0}, {'seq': 10 ** 7}, {'echo_seq': 99},
+    {'echo_stamp': -1.0}, {'seq': 2.5}])
+def test_bad_commands_neither_act_nor_feed_the_watchdog(changes):
+    actuator = Actuator()
+    for _ in range(3):
+        actuator.send(2.0)
+    for _ in range(4):
+        assert actuator.send(**{'v': 9.0, **changes}) is None
+    assert actuator.guard.output == 2.0
+    assert actuator.guard.poll(actuator.seq * T) is not None
+    assert sum(actuator.guard.guard.rejected().values()) == 4
+
+
+def test_a_second_controller_is_a_fault_where_the_graph_shows_one():
+    actuator = Actuator()
+    for k in range(2 * RIVALS):
+        actuator.send(1.0)
+        rival = Command(k // 2, 0.0, 3.0, actuator.seq, actuator.seq * T)
+        assert k == 0 or actuator.guard.command(rival.numbers(), actuator.seq,
+                                                actuator.seq * T) is None
+    now = actuator.seq * T
+    assert actuator.guard.poll(now, senders=1) is None
+    assert actuator.guard.poll(now, senders=2) == (0.0, now)
+    assert actuator.guard.supervisor.reason == '2 publishers of commands'
+
+
+def test_reset_needs_a_fresh_command_and_a_released_button():
+    actuator = Actuator()
+    assert actuator.guard.reset(0.0) == 'nothing is latched'
+    actuator.send(2.0)
+    assert actuator.guard.estop(0.0) == 0.0
+    assert 'pressed' in actuator.guard.reset(T)
+    actuator.guard.estop(T, pressed=False)
+    assert actuator.mode is Mode.ESTOP      # released is not reset
+    assert 'no command' in actuator.guard.reset(10.0)
+    assert actuator.send(2.0, t=10.0) is None
+    assert actuator.guard.reset(10.0) == ''
+    assert actuator.mode is Mode.WAITING
+    assert actuator.send(2.0, t=10.0 + T) == 2.0
+
+
+def test_an_orderly_end_is_no_fault():
+    actuator = Actuator()
+    actuator.send(2.0)
+    assert actuator.guard.end(T) == 0.0
+    assert actuator.guard.poll(100.0) is None
+    assert actuator.mode is Mode.WAITING
+
+
+# --- the controller's end
+
+class Loop:
+    """A controller's guard fed with the offline loop's states and references."""
+
+    def __init__(self, **settings):
+        self.configuration = Configuration.from_flat({
+            'loop.duration': 2.0, 'safety.fault_after': 80, **{key.replace('__', '.'): value
+                                     for key, value in settings.items()}})
+        self.run = simulate(self.configuration)
+        self.begun = []
+        self.guard = ControllerGuard(self.configuration,
+                                     begins=lambda *what: self.begun.append(what))
+        for name in ('configure', 'activate'):
+            self.guard.transition(name)
+        self.now = 100.0
+
+    def reference(self, k):
+        self.guard.reference((k, k * T, *map(float, self.run.x_d[k])), self.now)
+
+    def state(self, k, echo=None, **changes):
+        self.now += T
+        state = State(k, k * T, tuple(map(float, self.run.x[k])),
+                      k - 1 if echo is None else echo, (k - 1) * T)
+        numbers = list(state.numbers())
+        for place, value in changes.items():
+            numbers[int(place[1:])] = value
+        taken = self.guard.take(numbers, self.now)
+        return None if taken is None else self.guard.answer(taken, self.now)
+
+    def play(self, first, last):
+        answers = []
+        for k in range(first, last):
+            self.reference(k)
+            answers.append(self.state(k))
+        return answers
+
+    @property
+    def mode(self):
+        return self.guard.supervisor.mode
+
+
+def test_a_healthy_run_is_the_offline_loops_bit_for_bit():
+    loop = Loop()
+    answers = loop.play(0, 401)
+    assert [command.v for command, _ in answers] == loop.run.v.tolist()
+    assert loop.begun == [(0, loop.configuration.law.initial_memory())]
+
+
+def test_silence_of_states_is_answered_with_the_safe_command_by_itself():
+    loop = Loop()
+    loop.play(0, 50)
+    memory = loop.guard.controller.memory
+    assert loop.guard.poll(loop.now + 3 * T) is None
+    sent = [loop.guard.poll(loop.now + (3.1 + k) * T) for k in range(20)]
+    commands = [item[0] for item in sent if item]
+    assert len(commands) == REPEATS
+    assert {command.v for command in commands} == {0.0}
+    assert [command.seq for command in commands] == list(range(50, 50 + REPEATS))
+    assert loop.mode is Mode.LOST
+    loop.guard.poll(loop.now + 84 * T)
+    assert (loop.mode, loop.guard.supervisor.reason) == (Mode.FAULT, 'no state')
+    _, terms = loop.play(50, 51)[0]
+    assert (terms.status, terms.dt, terms.values[-1]) == (Status.INACTIVE, 0.0, 0.0)
+    assert loop.guard.controller.memory == memory
+
+
+def test_without_references_it_extrapolates_then_stops_then_faults():
+    loop = Loop()
+    loop.play(0, 50)
+    modes = []
+    for k in range(50, 160):
+        loop.state(k)
+        modes.append(loop.mode)
+    assert modes.index(Mode.LOST) == 20
+    assert modes.index(Mode.FAULT) == 20 + 81
+    assert loop.guard.supervisor.reason == 'no reference'
+    assert 'trajectory' in loop.guard.reset(loop.now)
+    loop.play(160, 162)
+    assert loop.guard.reset(loop.now) == ''
+    loop.play(162, 165)
+    assert loop.mode is Mode.RUNNING
+    assert loop.begun[-1][0] == 162
+
+
+def test_a_plant_that_takes_no_commands_stops_the_law():
+    loop = Loop()
+    loop.play(0, 50)
+    for k in range(50, 80):
+        loop.reference(k)
+        loop.state(k, echo=49)
+    assert (loop.mode, loop.guard.supervisor.reason) == (
+        Mode.LOST, 'the actuator does not take the commands')
+    loop.reference(80)
+    loop.state(80, echo=79)
+    assert loop.mode is Mode.RUNNING
+
+
+@pytest.mark.parametrize('changes', [
+    {'_2': math.nan}, {'_3': math.inf}, {'_0': 3.0}, {'_0': 1e6}, {'_1': 1e3}, {'_5': math.nan}])
+def test_bad_states_reach_neither_command_nor_estimates(changes):
+    loop = Loop()
+    loop.play(0, 50)
+    memory = loop.guard.controller.memory
+    assert loop.state(50, **changes) is None
+    assert loop.guard.controller.memory == memory
+    assert sum(loop.guard.state_guard.rejected().values()) == 1
+    assert loop.play(51, 52)[0] is not None
+
+
+@pytest.mark.parametrize(('key', 'limit', 'words'), [
+    ('safety__error_limit', 0.05, 'error'), ('safety__theta_limit', 0.851, 'theta'),
+    ('safety__phi_limit', 0.86, 'phi')])
+def test_limits_on_error_and_estimates_are_faults(key, limit, words):
+    loop = Loop(**{key: limit, 'controller__phi_0': -0.85 if words == 'phi' else 0.85})
+    shift = (1.0, 0.0) if words == 'error' else (0.0, 0.0)
+    for k in range(200):
+        loop.reference(k)
+        x = tuple(float(a) + b * k / 100 for a, b in zip(loop.run.x[k], shift, strict=True))
+        loop.state(k, _2=x[0])
+    assert loop.mode is Mode.FAULT
+    assert loop.guard.supervisor.reason.startswith(('error', 'estimate'))
+    assert words in loop.guard.supervisor.reason
+    names = loop.configuration.law.signal_names
+    for name, value in zip(names, loop.guard.controller.memory, strict=True):
+        assert not name.startswith(words) or abs(value) <= limit
+
+
+def test_a_law_that_diverges_is_a_fault_and_its_memory_stays_finite():
+    loop = Loop()
+    loop.play(0, 10)
+    command, _ = loop.state(10, _3=1e308)
+    assert command.v == 0.0
+    assert loop.mode is Mode.FAULT
+    assert all(map(math.isfinite, loop.guard.controller.memory))
+
+
+def test_saturation_against_s_freezes_the_estimates_and_says_so():
+    loop = Loop(safety__command_limit=5.0)
+    answers = loop.play(0, 100)
+    saturated = [(command, terms) for command, terms in answers
+                 if terms.status & Status.SATURATED]
+    assert saturated
+    for command, terms in saturated:
+        assert abs(command.v) == 5.0
+        assert terms.dt == 0.0
+        assert command.v * terms.values[0] < 0.0
+    k = answers.index(saturated[0])
+    assert answers[k + 1][1].signals == answers[k][1].signals
+
+
+@pytest.mark.parametrize('estimates', ['keep', 'reset', 'restore'])
+def test_estimates_are_kept_reset_or_restored(estimates):
+    loop = Loop(safety__estimates=estimates, loop__duration=4.0)
+    memories = []
+    for k in range(700):
+        memories.append(loop.guard.controller.memory)
+        loop.play(k, k + 1)
+    loop.guard.estop()
+    loop.guard.estop(pressed=False)
+    stopped = loop.guard.controller.memory
+    assert loop.guard.reset(loop.now) == ''
+    loop.play(700, 702)
+    memory = loop.begun[-1][1]
+    if estimates == 'restore':
+        assert memory in memories[700 - round(2.1 / T):700 - round(1.0 / T)]
+    else:
+        assert memory == (stopped if estimates == 'keep'
+                          else loop.configuration.law.initial_memory())
+
+
+def test_deactivation_gives_the_safe_command_and_activation_starts_from_it():
+    loop = Loop(safety__rate_limit=10.0)
+    loop.play(0, 100)
+    sent = loop.guard.transition('deactivate')
+    assert len(sent) == REPEATS
+    for command, terms in sent:
+        assert (command.v, terms.status) == (0.0, Status.INACTIVE)
+    assert loop.play(100, 101) == [None]
+    loop.guard.transition('activate')
+    after = [command.v for command, _ in loop.play(200, 260)]
+    assert abs(after[0]) <= 10.0 * T + 1e-12
+    assert max(abs(b - a) for a, b in itertools.pairwise(after)) <= 10.0 * T + 1e-9
+
+
+def test_gains_change_between_two_samples():
+    loop = Loop()
+    loop.play(0, 100)
+    changed = loop.configuration.replace(**{'controller.k_d': 20.0})
+    loop.guard.configure(changed)
+    loop.reference(100)
+    command, terms = loop.state(100)
+    assert terms.values[3] == -20.0 * terms.values[0]
+    assert command.seq == 100
+
+
+@pytest.mark.parametrize(('key', 'value', 'words'), [
+    ('safety.safe_command', 2.0, 'command_limit'), ('safety.fault_after', 2, 'command_hold'),
+    ('safety.estimates', 'guess', 'one of keep'), ('safety.ramp', -1.0, '>= 0')])
+def test_limits_that_contradict_each_other_are_refused(key, value, words):
+    with pytest.raises(ConfigurationError, match=words):
+        Configuration.from_flat({'safety.command_limit': 1.0, key: value})
+
+
+def test_the_section_survives_the_round_trip():
+    configuration = Configuration.from_flat({'safety.command_limit': 3.0})
+    assert Configuration.from_flat(configuration.to_flat()).safety == configuration.safety
+
+
+def test_the_bare_controller_has_the_same_gate():
+    configuration = Configuration.from_flat({'safety.command_limit': 4.0})
+    controller = Controller(configuration)
+    controller.set_reference(Reference(0, 0.0, configuration.trajectory(0.0)))
+    command, _ = controller.respond(State(0, 0.0, (-2.5, 3.5)))
+    assert command.v == 4.0

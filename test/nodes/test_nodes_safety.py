@@ -1,0 +1,345 @@
+"""Managed nodes as an operator meets them: transitions, e-stop, reset, watchdogs, live gains."""
+
+from dataclasses import replace
+import json
+import math
+import os
+from pathlib import Path
+import signal
+import time
+
+import numpy as np
+import pytest
+
+from dz_ros.analysis.audit import audit
+from dz_ros.core.loop import simulate
+from dz_ros.core.records import Command, State, Status, Terms
+from dz_ros.files import load_configuration
+from dz_ros.recording.reader import read_run
+
+rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
+
+NODE = ('-m', 'dz_ros.nodes.main')
+DZ = ('-m', 'dz_ros')
+CONFIG = Path(__file__).parents[2] / 'config' / 'servo.yaml'
+NAMES = ('plant_node', 'controller_node', 'trajectory_node')
+TIME_OUT = 60.0
+LONG = ('-p', 'loop.duration:=0.0', '-p', 'safety.fault_after:=80')
+
+
+class Operator:
+    """A node of the test's own that hears everything and calls services."""
+
+    def __init__(self):
+        from rcl_interfaces.srv import SetParametersAtomically
+        from std_msgs.msg import Bool, Float64MultiArray, String
+        from std_srvs.srv import Trigger
+        self.trigger, self.set_atomically = Trigger, SetParametersAtomically
+        self.context = rclpy.Context()
+        self.context.init()
+        self.node = rclpy.create_node('operator', context=self.context)
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.array, self.bool = Float64MultiArray, Bool
+        self.heard = {'state': [], 'command': [], 'terms': [], 'truth': []}
+        self.events = []
+        for topic, kept in self.heard.items():
+            self.node.create_subscription(Float64MultiArray, topic, kept.append, 2000)
+        durable = rclpy.qos.QoSProfile(
+            depth=200, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
+        self.node.create_subscription(
+            String, 'events', lambda message: self.events.append(json.loads(message.data)),
+            durable)
+
+    def wait(self, condition, timeout=TIME_OUT):
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, f'not in time; modes: {self.modes()}'
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def modes(self):
+        found = {}
+        for event in self.events:
+            if event['event'] == 'mode':
+                found[event['node'].strip('/')] = (event['mode'], event['reason'])
+        return found
+
+    def wait_for_mode(self, **wanted):
+        self.wait(lambda: all(self.modes().get(name, ('',))[0] == mode
+                              for name, mode in wanted.items()))
+
+    def call(self, service, service_type=None, request=None):
+        service_type = service_type or self.trigger
+        client = self.node.create_client(service_type, service)
+        assert client.wait_for_service(TIME_OUT)
+        future = client.call_async(request or service_type.Request())
+        self.wait(future.done)
+        return future.result()
+
+    def set(self, node, **values):
+        parameters = [rclpy.parameter.Parameter(name.replace('__', '.'), value=value)
+                      .to_parameter_msg() for name, value in values.items()]
+        return self.call(f'{node}/set_parameters_atomically', self.set_atomically,
+                         self.set_atomically.Request(parameters=parameters)).result
+
+    def change(self, node, number):
+        from lifecycle_msgs.srv import ChangeState
+        request = ChangeState.Request()
+        request.transition.id = number
+        return self.call(f'{node}/change_state', ChangeState, request).success
+
+    def life(self, node):
+        from lifecycle_msgs.srv import GetState
+        return self.call(f'{node}/get_state', GetState).current_state.label
+
+    def close(self):
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.shutdown()
+
+
+@pytest.fixture
+def operator(ros_domain):
+    made = Operator()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def loop(processes, operator):
+    """Return node name → process of a loop that runs, and the operator."""
+    nodes = {name: start(processes, name) for name in NAMES}
+    operator.wait_for_mode(plant_node='running', controller_node='running')
+    operator.wait(lambda: len(operator.heard['state']) > 50)
+    return nodes
+
+
+def start(processes, name, *more):
+    return processes(*NODE, name, '--ros-args', '--params-file', CONFIG, *LONG, *more)
+
+
+def held(truth):
+    """Return the command the actuator holds, by what the plant says of its dead-zone, m = 1."""
+    return truth.data[2] - truth.data[3]
+
+
+def test_a_killed_controller_leaves_the_safe_command_within_three_samples(
+        processes, loop, operator):
+    loop['controller_node'].signal(signal.SIGKILL)
+    loop['controller_node'].wait()
+    operator.wait_for_mode(plant_node='fault')
+    assert operator.modes()['plant_node'] == ('fault', 'no command')
+    operator.wait(lambda: held(operator.heard['truth'][-1]) == 0.0)
+    last = operator.heard['command'][-1].data
+    released = next(message.data[1] for message in operator.heard['truth']
+                    if held(message) == 0.0 and message.data[1] > last[1])
+    # The last command arrived within a sample or so of its stamp; the hold is three.
+    assert released - last[1] < 6 * 0.005
+    start(processes, 'controller_node')
+    heard = len(operator.heard['command'])
+    operator.wait(lambda: len(operator.heard['command']) > heard + 20)
+    operator.wait_for_mode(controller_node='running')
+    assert operator.call('plant_node/reset').success
+    operator.wait_for_mode(plant_node='running')
+    operator.wait(lambda: held(operator.heard['truth'][-1]) != 0.0)
+
+
+def test_estop_by_topic_stops_both_ends_and_only_their_resets_release_it(loop, operator):
+    publisher = operator.node.create_publisher(operator.bool, 'estop', rclpy.qos.QoSProfile(
+        depth=1, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL))
+    publisher.publish(operator.bool(data=True))
+    operator.wait_for_mode(plant_node='estop', controller_node='estop')
+    operator.wait(lambda: operator.heard['command'][-1].data[2] == 0.0)
+    heard = len(operator.heard['terms'])
+    operator.wait(lambda: len(operator.heard['terms']) > heard + 20)
+    terms = [message.data for message in operator.heard['terms'][-10:]]
+    labels = operator.heard['terms'][-1].layout.dim[0].label.split(',')
+    assert labels[:12] == list(Terms.labels(())[:12])
+    assert {data[labels.index('status')] for data in terms} == {float(Status.INACTIVE)}
+    assert len({tuple(data[14:]) for data in terms}) == 1       # estimates stand still
+    refused = operator.call('plant_node/reset')
+    assert not refused.success
+    assert 'still pressed' in refused.message
+    publisher.publish(operator.bool(data=False))
+    for node in ('plant_node', 'controller_node'):
+        operator.wait(lambda node=node: operator.call(f'{node}/reset').success)
+    operator.wait_for_mode(plant_node='running', controller_node='running')
+
+
+def test_estop_and_reset_from_the_command_line(processes, loop, operator):
+    assert processes(*DZ, 'estop').wait() == 0
+    operator.wait_for_mode(plant_node='estop', controller_node='estop')
+    status = processes(*DZ, 'status', '--once')
+    assert status.wait() == 1, status.output
+    assert 'ERROR  /plant_node: estop: e-stop by topic' in status.output
+    assert processes(*DZ, 'reset').wait() == 0
+    operator.wait_for_mode(plant_node='running', controller_node='running')
+
+
+def test_bad_messages_reach_neither_actuator_nor_estimates(loop, operator):
+    publishers = {topic: operator.node.create_publisher(operator.array, topic, 10)
+                  for topic in ('command', 'state', 'reference')}
+    operator.wait(lambda: all(item.get_subscription_count() for item in publishers.values()))
+    for bad in (math.nan, math.inf, -math.inf):
+        for topic, labels in (('command', Command.labels()), ('state', State.labels(2)),
+                              ('reference', ('seq', 'stamp', 'xd0', 'xd1', 'xd2'))):
+            for place in range(len(labels)):
+                data = [1e7] * len(labels)
+                data[place] = bad
+                publishers[topic].publish(message(operator, labels, data))
+            publishers[topic].publish(message(operator, labels, [bad]))
+            publishers[topic].publish(message(operator, ('nonsense', *labels), [bad] * 9))
+            publishers[topic].publish(operator.array(data=[bad]))
+    heard = len(operator.heard['state'])
+    operator.wait(lambda: len(operator.heard['state']) > heard + 100)
+    for topic in ('terms', 'truth'):
+        for item in operator.heard[topic][-100:]:
+            assert all(map(math.isfinite, item.data))
+    operator.wait_for_mode(plant_node='running', controller_node='running')
+    for node in loop.values():
+        assert node.poll() is None
+        assert 'Traceback' not in node.output
+
+
+def message(operator, labels, data):
+    from std_msgs.msg import MultiArrayDimension
+    made = operator.array(data=data)
+    made.layout.dim.append(MultiArrayDimension(label=','.join(labels), size=len(data),
+                                               stride=len(data)))
+    return made
+
+
+def test_two_controllers_are_a_fault_at_the_actuator(processes, loop, operator):
+    publisher = operator.node.create_publisher(operator.array, 'command', 10)
+    operator.wait(lambda: publisher.get_subscription_count() > 0)
+    labels = Command.labels()
+    deadline = time.monotonic() + TIME_OUT
+    while operator.modes()['plant_node'][0] != 'fault':
+        assert time.monotonic() < deadline
+        state = operator.heard['state'][-1].data
+        publisher.publish(message(operator, labels, [3.0, state[1], 5.0, state[0], state[1], 0.0]))
+        operator.executor.spin_once(timeout_sec=0.01)
+    assert operator.modes()['plant_node'][1] == '2 publishers of commands'
+
+
+def test_gains_and_limits_change_while_it_runs_structure_does_not(loop, operator):
+    def configurations():
+        return [event for event in operator.events if event['event'] == 'configuration'
+                and event['node'] == '/controller_node']
+
+    gain = configurations()[-1]['configuration']['controller.k_d']
+    before = len(configurations())
+    assert operator.set('controller_node', controller__k_d=gain * 2,
+                        safety__command_limit=50.0).successful
+    operator.wait(lambda: len(configurations()) > before)
+    event = configurations()[-1]
+    assert event['configuration']['controller.k_d'] == gain * 2
+    operator.wait(lambda: operator.heard['terms'][-1].data[0] > event['seq'] + 20)
+    for item in operator.heard['terms']:
+        seq, s, damping = item.data[0], item.data[2], item.data[5]
+        if event['seq'] - 20 <= seq < event['seq'] + 20 and item.data[11] == 0.0:
+            used = gain * 2 if seq >= event['seq'] else gain
+            assert damping == -used * s
+        if seq == event['seq']:
+            names = item.layout.dim[0].label.split(',')
+            signals = item.data[names.index('echo_seq') + 1:]
+            assert list(signals[:len(event['memory'])]) == event['memory']
+    for key, value, words in (('controller__k_d', -1.0, 'k_d'),
+                              ('safety__safe_command', 60.0, 'command_limit'),
+                              ('loop__rate', 100.0, 'read-only'),
+                              ('controller__law', 'pd', 'read-only')):
+        refused = operator.set('controller_node', **{key: value})
+        assert not refused.successful
+        assert words in refused.reason
+    assert operator.set('plant_node', plant__dead_zone__b_r=0.4).successful
+
+
+def test_standard_transitions_and_bumpless_activation(loop, operator):
+    assert operator.life('/controller_node') == 'active'
+    assert operator.change('/controller_node', 4)       # deactivate
+    assert operator.life('/controller_node') == 'inactive'
+    operator.wait_for_mode(plant_node='waiting')
+    assert [item.data[2] for item in operator.heard['command'][-5:]] == [0.0] * 5
+    assert not operator.change('/controller_node', 1)   # configure: not possible now
+    assert loop['controller_node'].poll() is None
+    assert operator.set('controller_node', safety__rate_limit=20.0).successful
+    heard = len(operator.heard['command'])
+    assert operator.change('/controller_node', 3)       # activate
+    operator.wait_for_mode(plant_node='running', controller_node='running')
+    operator.wait(lambda: len(operator.heard['command']) > heard + 100)
+    v = [0.0, *(item.data[2] for item in operator.heard['command'][heard:])]
+    stamps = [item.data[1] for item in operator.heard['command'][heard:]]
+    for k in range(len(stamps) - 1):
+        assert abs(v[k + 2] - v[k + 1]) <= 20.0 * (stamps[k + 1] - stamps[k]) + 1e-9
+    assert abs(v[1]) <= 20.0 * 0.005 + 1e-9
+    assert operator.change('/controller_node', 4)
+    assert operator.change('/controller_node', 2)       # cleanup
+    assert operator.change('/controller_node', 1)
+    assert operator.change('/controller_node', 3)
+    operator.wait_for_mode(plant_node='running', controller_node='running')
+
+
+def test_a_node_that_is_not_to_start_by_itself_waits_for_its_manager(processes, operator):
+    node = start(processes, 'controller_node', '-p', 'autostart:=false')
+    assert operator.life('/controller_node') == 'unconfigured'
+    assert operator.change('/controller_node', 1)
+    assert operator.life('/controller_node') == 'inactive'
+    assert operator.change('/controller_node', 6)       # shutdown while inactive
+    assert node.wait() == 0, node.output
+
+
+def test_a_stopped_trajectory_becomes_a_fault_and_the_loop_goes_on_after_reset(
+        processes, loop, operator):
+    os.kill(loop['trajectory_node'].pid, signal.SIGSTOP)
+    operator.wait_for_mode(controller_node='fault')
+    assert operator.modes()['controller_node'] == ('fault', 'no reference')
+    assert not operator.call('controller_node/reset').success
+    os.kill(loop['trajectory_node'].pid, signal.SIGCONT)
+    operator.wait(lambda: operator.call('controller_node/reset').success)
+    operator.wait_for_mode(plant_node='running', controller_node='running')
+
+
+@pytest.mark.parametrize('limit', ['command_limit=5', 'rate_limit=60', 'ramp=0.5'])
+def test_a_limited_run_is_reproduced_bit_for_bit_by_its_audit(processes, tmp_path, limit):
+    run = processes(*DZ, 'run', 'wang2004', '--lockstep', '--duration', '2', '--quiet',
+                    '--record', tmp_path / 'run', '--set', f'safety.{limit}')
+    assert run.wait() == 0, run.output
+    data = read_run(tmp_path / 'run')
+    found = audit(data)
+    assert found.passed, found
+    v = data.channels['command']['v']
+    free = simulate(load_configuration('wang2004', ['loop.duration=2'])).v
+    assert np.abs(v[0]) < np.abs(free[0])
+    if limit == 'command_limit=5':
+        assert np.abs(v).max() == 5.0
+    frozen = data.channels['terms']['status'] == float(Status.SATURATED)
+    assert frozen.any()
+    assert np.all(data.channels['terms']['dt'][frozen] == 0.0)
+    # A command that is not what the gate lets through is found.
+    k = int(np.flatnonzero(frozen)[0])
+    values = data.channels['command'].values.copy()
+    values[k, 2] += 1e-12
+    data.channels['command'] = replace(data.channels['command'], values=values)
+    assert not audit(data).passed
+
+
+def test_diagnostics_say_what_is_wrong(loop, operator):
+    from diagnostic_msgs.msg import DiagnosticArray
+    said = {}
+
+    def keep(array):
+        for status in array.status:
+            said[status.name] = status
+
+    operator.node.create_subscription(DiagnosticArray, '/diagnostics', keep, 10)
+    operator.wait(lambda: set(said) == {f'/{name}' for name in NAMES})
+    values = {item.key: item.value for item in said['/controller_node'].values}
+    assert {'rate [Hz]', 'period p99 [ms]', 'state to command p99 [ms]', 'max |s|/epsilon',
+            'variation of v over the expected', 'frozen: saturated [samples]'} <= set(values)
+    assert float(values['rate [Hz]']) > 50.0
+    assert said['/plant_node'].hardware_id
+    operator.call('plant_node/estop')
+    operator.wait(lambda: said['/plant_node'].level == b'\x02'
+                  and said['/controller_node'].level == b'\x02')
+    assert 'estop: e-stop by service' in said['/plant_node'].message

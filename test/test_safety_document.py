@@ -1,0 +1,35 @@
+"""docs/safety.md says what the code does: tables of states, parameters and their defaults."""
+
+from pathlib import Path
+import re
+
+from dz_ros.core.safety.settings import SafetySettings
+from dz_ros.core.safety.table import LIFE, MODES
+from dz_ros.core.schema import fields
+
+TEXT = (Path(__file__).parents[1] / 'docs' / 'safety.md').read_text(encoding='utf-8')
+
+
+def table(name):
+    """Return the rows between two marks as tuples of cells, without the head."""
+    block = re.search(f'<!-- {name} -->\n(.*?)<!-- end of {name} -->', TEXT, re.DOTALL).group(1)
+    return [tuple(cell.strip() for cell in line.strip('|').split('|'))
+            for line in block.strip().splitlines()[2:]]
+
+
+def test_the_table_of_modes_is_the_codes():
+    assert table('mode table') == [
+        (mode.value, event.value, following.value, action.value)
+        for (mode, event), (following, action) in MODES.items()]
+
+
+def test_the_table_of_life_is_the_codes():
+    assert table('life table') == [
+        (life.value, name, following.value, event.value if event else '-')
+        for (life, name), (following, event) in LIFE.items()]
+
+
+def test_every_parameter_is_listed_with_default_and_unit():
+    listed = dict(re.findall(r'^\| `(\w+)` \| (\S+ \| [^|]*?) *\|', TEXT, re.MULTILINE))
+    assert listed == {item.name: f'{item.default} | {item.spec.unit}'
+                      for item in fields(SafetySettings)}
