@@ -1,7 +1,7 @@
 """``dz``: finds the verb, loads it alone, turns errors into one line and an exit code.
 
-Exit codes: 0 done; 1 something failed while running; 2 a mistake in what was asked for;
-130 interrupted (Ctrl-C); 141 nobody reads the output any more.
+Exit codes: 0 done; 1 something failed while running, or a check found an error; 2 a mistake in
+what was asked for; 130 interrupted (Ctrl-C); 141 nobody reads the output any more.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ class Verb:
 VERBS = {
     ('run',): Verb('run', 'run the loop as ROS 2 nodes, each a process, in real time'),
     ('simulate',): Verb('simulate', 'run the loop off line, as fast as the machine goes'),
+    ('check',): Verb('check', 'say what a configuration promises and what it does not'),
     ('report',): Verb('report', "make a run's report: figures, timing, table of metrics"),
     ('list',): Verb('listing', 'list plants, laws, trajectories or configurations'),
     ('bag', 'info'): Verb('bag_info', 'say what a recorded run holds'),

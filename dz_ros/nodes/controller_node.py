@@ -16,6 +16,7 @@ from dz_ros.errors import LoopError
 from dz_ros.nodes.base import LoopNode
 from dz_ros.nodes.parameters import configure
 from dz_ros.nodes.progress import Progress
+from dz_ros.nodes.start_checks import refuse_bad_design
 
 GONE_NS = 5_000_000_000
 """In lockstep, a reference that does not come within this means that its sender is gone [ns]."""
@@ -27,6 +28,7 @@ class ControllerNode(LoopNode):
     def __init__(self) -> None:
         super().__init__('controller_node')
         self.configuration = configure(self, 'loop', 'structure', 'controller')
+        refuse_bad_design(self, self.configuration)
         self._controller = Controller(self.configuration)
         self._order = self.configuration.plant.order
         self._publish_command = self.offer('command', Command.labels())
