@@ -40,6 +40,7 @@ VERBS = {
     ('simulate',): Verb('simulate', 'run the loop off line, as fast as the machine goes'),
     ('check',): Verb('check', 'say what a configuration promises and what it does not'),
     ('arena',): Verb('arena', 'compare every law in every scenario'),
+    ('sweep',): Verb('sweep', 'run thousands of loops over keys of a configuration; draw them'),
     ('report',): Verb('report', "make a run's report: figures, timing, table of metrics"),
     ('list',): Verb('listing', 'list plants, laws, trajectories or configurations'),
     ('bag', 'info'): Verb('bag_info', 'say what a recorded run holds'),
