@@ -44,6 +44,7 @@ class SimulatedActuator:
         self._substeps = c.plant_settings.substeps
         self._delay = c.loop.delay
         self._limit = c.plant_settings.command_limit
+        self._kick = c.kick_samples
         self._plant = c.plant.constants
         self._zone = c.dead_zone.constants
         self._disturbance = c.plant.disturbance
@@ -83,7 +84,7 @@ class SimulatedActuator:
             LoopError: The plant has diverged.
         """
         stamp = self.t
-        disturbance = self._disturbance(stamp, self.x, self._plant)
+        disturbance = self._disturbance(stamp, self.x, self._plant) - self._push()
         while self._pending and (self._pending[0][0] < t - SNAP
                                  or self._pending[0][0] <= stamp + SNAP):
             at, v = self._pending.popleft()
@@ -104,10 +105,15 @@ class SimulatedActuator:
             h = span / steps
         try:
             self._advance(self.x, self.held, self.t, h, steps, self._plant, self._zone,
-                          *self._work)
+                          *self._work, self._push())
         except (ArithmeticError, ValueError):
             self.x = [math.nan] * len(self.x)
         if not all(map(math.isfinite, self.x)):
             raise LoopError(f'the simulated plant diverged at t = {self.t:g} s, beyond what '
                             'numbers can hold')
         self.t = t
+
+    def _push(self) -> float:
+        """Return what the kick adds to x^(n) in the present sample."""
+        first, after, acceleration = self._kick
+        return acceleration if first <= int(self.t / self._period + SNAP) < after else 0.0
