@@ -20,7 +20,7 @@ EQUAL = 'every command and every estimate is reproduced bit for bit'
 @pytest.fixture(scope='module')
 def recorded(tmp_path_factory):
     run = tmp_path_factory.mktemp('runs') / 'run'
-    assert main(['simulate', '--duration', '2', '--record', str(run)]) == 0
+    assert main(['simulate', 'wang2004', '--duration', '2', '--record', str(run)]) == 0
     return run
 
 

@@ -13,8 +13,8 @@ from dz_ros.recording.save import save_run
 @pytest.fixture(scope='module')
 def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp('runs')
-    assert main(['simulate', '--duration', '3', '--set', 'plant.noise=[0.001,0.01]', '--record',
-                 str(folder / 'a')]) == 0
+    assert main(['simulate', 'wang2004', '--duration', '3', '--set', 'plant.noise=[0.001,0.01]',
+                 '--record', str(folder / 'a')]) == 0
     data = read_run(folder / 'a')
     flat = {key: value for key, value in data.configuration.items()
             if not key.startswith('plant.')}
@@ -83,7 +83,7 @@ def test_mistakes_are_one_line(runs, capsys, words):
 
 def test_compare(runs, tmp_path, capsys):
     other = tmp_path / 'b'
-    assert main(['simulate', '--duration', '3', '--set', 'loop.delay=1', '--record',
+    assert main(['simulate', 'wang2004', '--duration', '3', '--set', 'loop.delay=1', '--record',
                  str(other)]) == 0
     capsys.readouterr()
     assert main(['bag', 'compare', str(runs / 'a'), str(other), '--out',
