@@ -40,6 +40,7 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
         LifecycleNodeMixin.__init__(self)
         self.active = False
         self._problem: Exception | None = None
+        self._starting = False
         self._judged: Configuration | None = None
         # rclpy lets the exception of an impossible transition end the executor.
         self._standard_change = self._service_change_state.callback
@@ -157,7 +158,8 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
         except DzRosError as error:
             self._problem = error
             self.withdraw()
-            self.get_logger().error(str(error))
+            if not self._starting:      # then it is what the process ends with
+                self.get_logger().error(str(error))
             return FAILURE
         except Exception as error:
             self._problem = error
@@ -166,9 +168,11 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
         return SUCCESS
 
     def _start(self) -> None:
+        self._starting = True
         for trigger in (self.trigger_configure, self.trigger_activate):
             if trigger() != SUCCESS:
                 raise self._problem or LoopError(f'{self.get_name()} cannot start')
+        self._starting = False
 
     def _change_state(self, request: Any, response: Any) -> Any:
         """Serve ``~/change_state``; an impossible transition is refused in the response."""

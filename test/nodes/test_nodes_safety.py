@@ -289,6 +289,14 @@ def test_a_node_that_is_not_to_start_by_itself_waits_for_its_manager(processes, 
     assert node.wait() == 0, node.output
 
 
+def test_a_second_node_of_a_loop_is_refused_in_one_line(processes, loop, operator):
+    second = start(processes, 'controller_node')
+    assert second.wait() == 2
+    assert second.output.startswith('controller_node: error: topic /command is published by')
+    assert second.output.count('\n') == 0
+    operator.wait_for_mode(plant_node='running', controller_node='running')
+
+
 def test_a_stopped_trajectory_becomes_a_fault_and_the_loop_goes_on_after_reset(
         processes, loop, operator):
     os.kill(loop['trajectory_node'].pid, signal.SIGSTOP)
