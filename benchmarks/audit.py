@@ -19,12 +19,13 @@ sys.path.insert(0, str(ROOT))
 from dz_ros.analysis.audit import audit  # noqa: E402
 from dz_ros.core.configuration import Configuration  # noqa: E402
 from dz_ros.core.dataset import from_run  # noqa: E402
-from dz_ros.core.laws import LAWS  # noqa: E402
 from dz_ros.core.loop import simulate  # noqa: E402
 from dz_ros.recording.reader import read_run  # noqa: E402
 from dz_ros.recording.save import save_run  # noqa: E402
 
 DURATION = 600.0
+LAWS = ('wang2004', 'robust', 'neural')
+"""The paper's, the recommended one and the one that computes most."""
 
 
 def measure(law: str, folder: Path) -> None:
@@ -57,9 +58,9 @@ def _children() -> float:
 
 
 def main() -> None:
-    """Measure every law that ships."""
+    """Measure some laws."""
     with tempfile.TemporaryDirectory() as folder:
-        for law in LAWS.builtin:
+        for law in LAWS:
             measure(law, Path(folder))
 
 

@@ -48,7 +48,7 @@ def check(folder: Path, environment: dict[str, str]) -> None:
     types = {line.split()[0]: line.split()[-1] for line in listed.splitlines()}
     assert types.get(NAME) == '(ros.ament_python)', f'colcon list says {listed!r}'
     bases = ('--build-base', str(build), '--install-base', str(install))
-    paths = ('--base-paths', str(ROOT), '--packages-select', NAME)
+    paths = ('--base-paths', str(ROOT))
     colcon('build', *bases, *paths)
     prefix = install / NAME
     executables = declared(prefix)

@@ -6,8 +6,8 @@ by least squares (scipy, trust region) so that the predicted states are near the
 
     min Σ_g Σ_k |W (x_g,k − x̂_g,k(p, x̂_g,0))|²,      p = (a_1 … a_r, b m, b_r, b_l)
 
-W weights each state by the size of its residual. The dead-zone has one slope m. **b and m show only
-as their product**: b is kept as configured and m = (b m)/b. The model's other constants, its
+W weights each state by the size of its residual. The dead-zone has one slope m. **b and m show
+only as their product**: b is kept as configured and m = (b m)/b. The model's other constants, its
 disturbance among them, are kept as configured.
 
 Confidence: the residuals of one segment may depend on each other (a disturbance nobody modelled),
@@ -22,26 +22,25 @@ known if the model is right, not whether it is right.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dz_ros.analysis.fit_data import Segment, segments
-from dz_ros.analysis.fit_start import first_guess
+from dz_ros.analysis.fit_prediction import Prediction
+from dz_ros.analysis.fit_start import configured_parameters, first_guess
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
-from dz_ros.core.integration import make_advance
 from dz_ros.errors import LoopError, RecordingError
 
 Array = NDArray[np.float64]
 
-STEPS = 2
-"""RK4 steps in a sample interval."""
 BLIND = 1e-7
-"""A parameter that moves the prediction less than this times the most effective one is not seen."""
+"""A parameter that moves the prediction by less than this share of the strongest is not seen."""
+
+PASSED = 5
+"""Commands that must lie beyond a break point for it to be seen."""
 
 
 @dataclass(frozen=True)
@@ -112,77 +111,6 @@ class Fit:
         return self['b·m'].value / self.b
 
 
-class _Prediction:
-    """The segments of a run, predicted for given parameters and initial states."""
-
-    def __init__(self, run: RunData, c: Configuration) -> None:
-        self.segments = segments(run, c)
-        self.order = c.plant.order
-        self._advance = make_advance(c.plant.regressors, c.plant.disturbance)
-        self._rest = c.plant.extra
-        self._b = c.plant.b
-        self._count = c.plant.regressor_count
-        self._period = c.loop.period
-        self.measured = [item.x for item in self.segments]
-
-    def __call__(self, p: Sequence[float], starts: Array) -> list[Array]:
-        """Return the predicted states of each segment, shape (L + 1, n).
-
-        Args:
-            p: a_1 … a_r, b m, b_r, b_l.
-            starts: Initial states, shape (G, n).
-        """
-        r = self._count
-        plant = (self._b, *p[:r], *self._rest)
-        m = p[r] / self._b
-        zone = (0.0, m, m, p[r + 1], p[r + 2], *(0.0,) * 8)
-        work = ([0.0] * r, *([0.0] * self.order for _ in range(5)))
-        return [self._segment(item, start, plant, zone, work)
-                for item, start in zip(self.segments, starts.tolist(), strict=True)]
-
-    def _segment(self, segment: Segment, x: list[float], plant: Sequence[float],
-                 zone: Sequence[float], work: tuple[list[float], ...]) -> Array:
-        path = [tuple(x)]
-        try:
-            for pieces in segment.pieces:
-                for begin, span, held in pieces:
-                    steps = max(1, round(STEPS * span / self._period))
-                    self._advance(x, held, begin, span / steps, steps, plant, zone, *work)
-                path.append(tuple(x))
-        except (OverflowError, ValueError):
-            path += [(1e9,) * self.order] * (len(segment.pieces) + 1 - len(path))
-        return np.clip(np.nan_to_num(np.array(path), nan=1e9), -1e9, 1e9)
-
-    def residual(self, p: Sequence[float], starts: Array, weight: Array) -> list[Array]:
-        """Return weighted measured minus predicted states of each segment, flat."""
-        return [((x - found) * weight).ravel()
-                for x, found in zip(self.measured, self(p, starts), strict=True)]
-
-    def sensitivity(self, p: Array, starts: Array,
-                    weight: Array) -> tuple[list[Array], list[Array]]:
-        """Return d residual / d p and d residual / d start of each segment, by differences."""
-        def columns(changed: Callable[[float], list[Array]], step: float) -> list[Array]:
-            return [(up - down) / (2.0 * step)
-                    for up, down in zip(changed(step), changed(-step), strict=True)]
-
-        by_p, by_start = [], []
-        for j in range(len(p)):
-            def moved(step: float, j: int = j) -> list[Array]:
-                q = p.copy()
-                q[j] += step
-                return self.residual(q.tolist(), starts, weight)
-            by_p.append(columns(moved, 1e-5 * max(abs(p[j]), 0.1)))
-        for i in range(self.order):
-            def begun(step: float, i: int = i) -> list[Array]:
-                other = starts.copy()
-                other[:, i] += step
-                return self.residual(p.tolist(), other, weight)
-            by_start.append(columns(begun, 1e-5 * max(float(np.abs(starts[:, i]).max()), 0.1)))
-        every = range(len(self.segments))
-        return ([np.column_stack([column[g] for column in by_p]) for g in every],
-                [np.column_stack([column[g] for column in by_start]) for g in every])
-
-
 def fit_plant(run: RunData, configuration: Configuration) -> Fit:
     """Return plant and dead-zone estimated from a run.
 
@@ -195,7 +123,7 @@ def fit_plant(run: RunData, configuration: Configuration) -> Fit:
         LoopError: The search found nothing.
     """
     c = configuration
-    predict = _Prediction(run, c)
+    predict = Prediction(run, c)
     p = first_guess(predict.segments, c)
     if len(predict.segments) < len(p) + 2:
         raise RecordingError(f'a plant cannot be fitted: {len(p)} parameters need at least '
@@ -212,13 +140,37 @@ def fit_plant(run: RunData, configuration: Configuration) -> Fit:
         rms = np.sqrt(np.mean(rest * rest, axis=0))
         weight = 1.0 / np.maximum(rms, 1e-9 * scale)
     half = _half_widths(predict, p, starts, weight)
+    half[[len(p) - 2, len(p) - 1]] = np.where(_passed(predict, p), half[-2:], np.inf)
+    p = _kept(p, half, configured_parameters(c))
     names = (*(f'a{i + 1}' for i in range(len(p) - 3)), 'b·m', 'b_r', 'b_l')
     return Fit(c.plant.name, tuple(Estimate(name, float(value), float(width)) for
                                    name, value, width in zip(names, p, half, strict=True)),
                c.plant.b, tuple(rms.tolist()), len(everything), len(predict.segments))
 
 
-def _search(predict: _Prediction, p: Array, starts: Array,
+def _passed(predict: Prediction, p: Array) -> list[bool]:
+    """Return whether commands went beyond b_r, and beyond b_l: else nothing shows where they lie.
+
+    The search leaves a break point that no command reaches at the outermost command.
+    """
+    held = np.array([piece[2] for item in predict.segments for pieces in item.pieces
+                     for piece in pieces])
+    margin = 1e-3 * max(p[-2] - p[-1], 1e-3)
+    return [bool(np.count_nonzero(held > p[-2] + margin) >= PASSED),
+            bool(np.count_nonzero(held < p[-1] - margin) >= PASSED)]
+
+
+def _kept(p: Array, half: Array, configured: Array) -> Array:
+    """Return the estimates, with what is not seen as configured, but never against the log."""
+    found = np.where(np.isfinite(half), p, configured)
+    if not np.isfinite(half[-2]):
+        found[-2] = max(found[-2], p[-2])
+    if not np.isfinite(half[-1]):
+        found[-1] = min(found[-1], p[-1])
+    return found
+
+
+def _search(predict: Prediction, p: Array, starts: Array,
             weight: Array) -> tuple[Array, Array]:
     """Return the parameters and initial states of least squares.
 
@@ -236,7 +188,8 @@ def _search(predict: _Prediction, p: Array, starts: Array,
 
     def jacobian(q: Array) -> object:
         by_p, by_start = predict.sensitivity(q[:count], q[count:].reshape(shape), weight)
-        return hstack([csr_matrix(np.concatenate(by_p)), block_diag(by_start)]).tocsr()
+        starts_only = block_diag([csr_matrix(item) for item in by_start])
+        return hstack([csr_matrix(np.concatenate(by_p)), starts_only]).tocsr()
 
     low, high = np.full(len(p) + starts.size, -np.inf), np.full(len(p) + starts.size, np.inf)
     low[count - 3], low[count - 2], high[count - 1] = 1e-6, 0.0, 0.0
@@ -250,7 +203,7 @@ def _search(predict: _Prediction, p: Array, starts: Array,
     return found.x[:count], found.x[count:].reshape(shape)
 
 
-def _half_widths(predict: _Prediction, p: Array, starts: Array, weight: Array) -> Array:
+def _half_widths(predict: Prediction, p: Array, starts: Array, weight: Array) -> Array:
     """Return half-widths of the 95 % confidence intervals; infinite = not seen, shape (P,)."""
     from scipy.stats import t
 
@@ -260,7 +213,7 @@ def _half_widths(predict: _Prediction, p: Array, starts: Array, weight: Array) -
     for columns, begun in zip(by_p, by_start, strict=True):
         basis, _ = np.linalg.qr(begun)
         own.append(columns - basis @ (basis.T @ columns))
-    norm = np.sqrt(sum(np.sum(item * item, axis=0) for item in own))
+    norm = np.maximum(np.abs(p), 0.1) * np.sqrt(sum(np.sum(item * item, axis=0) for item in own))
     half = np.full(len(p), np.inf)
     seen = np.flatnonzero(norm > BLIND * norm.max())
     stacked = sum(item[:, seen].T @ item[:, seen] for item in own)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,8 +92,9 @@ def segments(run: RunData, c: Configuration) -> list[Segment]:
     length = int(min(SEGMENT / c.loop.period, max(len(rows) // SEGMENTS[0], SHORTEST)))
     found: list[tuple[int, int]] = []
     edges = [-1, *np.flatnonzero(~joined).tolist(), len(rows) - 1]
-    for before, last in zip(edges[:-1], edges[1:], strict=True):
-        begins = range(before + 1, last - min(length, SHORTEST) + 1, length)
+    for before, last in pairwise(edges):
+        # No state belongs to two segments: its noise would tie them together.
+        begins = range(before + 1, last - min(length, SHORTEST) + 1, length + 1)
         found += [(begin, min(begin + length, last)) for begin in begins]
     if not found:
         raise RecordingError(f'a plant cannot be fitted: the log has no {SHORTEST} states in a '

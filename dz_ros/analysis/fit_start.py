@@ -24,6 +24,12 @@ WINDOW = 10
 """Intervals in a window."""
 
 
+def configured_parameters(c: Configuration) -> Array:
+    """Return a_1 … a_r, b m, b_r, b_l of a configuration, m the mean of its slopes."""
+    zone = c.dead_zone
+    return np.array([*c.plant.a, c.plant.b * 0.5 * (zone.m_r + zone.m_l), zone.b_r, zone.b_l])
+
+
 def first_guess(segments: Sequence[Segment], c: Configuration) -> Array:
     """Return a_1 … a_r, b m, b_r, b_l to begin with; the configured ones where this fails.
 
@@ -31,9 +37,8 @@ def first_guess(segments: Sequence[Segment], c: Configuration) -> Array:
         segments: The run.
         c: Model and known constants.
     """
-    zone, r = c.dead_zone, c.plant.regressor_count
-    configured = np.array([*c.plant.a, c.plant.b * 0.5 * (zone.m_r + zone.m_l), zone.b_r,
-                           zone.b_l])
+    r = c.plant.regressor_count
+    configured = configured_parameters(c)
     rows, changes = [], []
     y = [0.0] * r
     constants = c.plant.constants

@@ -84,7 +84,7 @@ def periods(view: View, name: str = 'periods') -> Picture | None:
         reach = max(_reach([topic.period for _, topic in timed if topic.period], centre), 0.5)
         for ax, (key, topic) in zip(grid, timed, strict=False):
             if topic.period is not None:
-                _histogram(ax, topic.period, key, centre - reach, centre + reach)
+                _histogram(ax, topic.period, key, max(centre - reach, 0.0), centre + reach)
             ax.set_title(_topic_title(key, topic), fontsize=8.5)
             ax.set_xlabel('period  [ms]')
     worst = min((topic.within for _, topic in timed if topic.within is not None), default=None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+import json
 from typing import Any
 
 from dz_ros.analysis import page
@@ -21,6 +22,7 @@ MODES = {
     'lockstep': 'made in lockstep over topics: a step happens when its messages have arrived',
 }
 MOST_EVENTS = 200
+LONGEST_EVENT = 300
 
 
 def mode_text(view: View) -> str:
@@ -200,6 +202,18 @@ def configuration(view: View) -> str:
     return page.folded(f'{len(rows)} keys', page.table(['key', 'value', 'unit', 'meaning'], rows))
 
 
+def event_text(what: str) -> str:
+    """Return an event in one short line; of JSON its plain values, without what is said above."""
+    try:
+        values = json.loads(what)
+    except ValueError:
+        values = None
+    if isinstance(values, dict):
+        what = ', '.join(f'{key} {value}' for key, value in values.items()
+                         if key not in ('node', 'configuration') and value not in ([], {}, ''))
+    return what if len(what) <= LONGEST_EVENT else f'{what[:LONGEST_EVENT]}…'
+
+
 def provenance(view: View) -> str:
     """Return what made the run, and what happened while it was made."""
     parts = []
@@ -211,6 +225,6 @@ def provenance(view: View) -> str:
         shown = view.run.events[:MOST_EVENTS]
         parts.append(page.table(
             ['time [s]', 'node', 'event'],
-            [[f'{(at - start) * 1e-9:.3f}', node, what] for at, node, what in shown],
+            [[f'{(at - start) * 1e-9:.3f}', node, event_text(what)] for at, node, what in shown],
             f'Events, {len(shown)} of {len(view.run.events)}; time since the first.', (0,)))
     return ''.join(parts)

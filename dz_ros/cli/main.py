@@ -49,6 +49,7 @@ VERBS = {
     ('bag', 'recover'): Verb('bag_recover', 'make a readable run of one that was cut off'),
     ('bag', 'audit'): Verb('bag_audit', 'recompute a run and compare it bit for bit'),
     ('bag', 'compare'): Verb('bag_compare', 'lay runs side by side: metrics and figures'),
+    ('bag', 'whatif'): Verb('bag_whatif', 'run a recorded loop again with something changed'),
 }
 """Words → verb; two words are a noun and its verb, as ``ros2`` groups its own."""
 

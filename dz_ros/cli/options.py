@@ -11,7 +11,7 @@ from dz_ros.files import load_configuration
 
 def add_configuration(parser: argparse.ArgumentParser) -> None:
     """Declare CONFIG, --duration and --set."""
-    parser.add_argument('config', nargs='?', default='wang2004', metavar='CONFIG',
+    parser.add_argument('config', nargs='?', default='robust', metavar='CONFIG',
                         help='configuration file, or the name of one that comes with dz_ros, see '
                              'dz list configurations (default: %(default)s)')
     parser.add_argument('--duration', metavar='S',

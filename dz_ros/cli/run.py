@@ -15,6 +15,7 @@ import tempfile
 import threading
 import time
 
+from dz_ros.cli.options import add_configuration, read_configuration
 from dz_ros.core.configuration import Configuration
 from dz_ros.errors import (
     ConfigurationError,
@@ -23,7 +24,7 @@ from dz_ros.errors import (
     NO_RCLPY,
     RunExistsError,
 )
-from dz_ros.files import load_configuration, write_parameters
+from dz_ros.files import write_parameters
 from dz_ros.runtime.claim import claim, ClaimedError, domain, domain_topic
 
 ORDER = (('plant_node',), ('trajectory_node', 'controller_node'), ('recorder_node',))
@@ -36,16 +37,9 @@ START_LIMIT = 60.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument('config', nargs='?', default='wang2004', metavar='CONFIG',
-                        help='configuration file, or the name of one that ships with dz_ros '
-                             '(default: %(default)s)')
-    parser.add_argument('--duration', type=float, metavar='S',
-                        help='length of the run in seconds of loop time; 0 = until Ctrl-C')
+    add_configuration(parser)
     parser.add_argument('--record', type=Path, metavar='DIR',
                         help='record the run to this directory, which must not exist')
-    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE',
-                        dest='overrides',
-                        help='change one key of the configuration; may be repeated')
     parser.add_argument('--lockstep', action='store_true',
                         help='step when messages have arrived, as fast as the machine goes; '
                              'the same as --set loop.timing=lockstep')
@@ -56,21 +50,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the loop; return 0, or the code of the node that failed."""
-    overrides = list(arguments.overrides)
-    if arguments.duration is not None:
-        overrides.append(f'loop.duration={arguments.duration}')
     if arguments.lockstep:
-        overrides.append('loop.timing=lockstep')
-    configuration = load_configuration(arguments.config, overrides)
+        arguments.overrides.append('loop.timing=lockstep')
+    configuration = read_configuration(arguments)
     if arguments.record is not None:
         if arguments.record.exists():
             raise RunExistsError(f'{arguments.record}: exists already; recordings are never '
                                  'overwritten: choose another directory')
         peers = tuple(dict.fromkeys((*configuration.loop.peers, 'recorder_node')))
         configuration = configuration.replace(**{'loop.peers': peers})
-    for key in configuration.set_aside:
-        print(f'dz: {key} is set aside: {configuration.law.name}, {configuration.plant.name} and '
-              f'{configuration.trajectory.name} do not use it', file=sys.stderr)
     _check_rclpy()
     _check_free(arguments.namespace)
     with tempfile.TemporaryDirectory(prefix='dz_ros-') as folder:

@@ -28,6 +28,8 @@ from dz_ros.recording.writer import RunWriter
 
 SERVE = 0.1
 """Services, such as those of the parameters, are served this often [s]."""
+LET_COLLECT = 0.01
+"""In lockstep, where times of arrival mean nothing, messages are let collect for this long [s]."""
 QUIET = 0.2
 """The recorder ends when nothing has arrived for this long [s] …"""
 DRAIN_LIMIT = 5.0
@@ -97,6 +99,8 @@ class RecorderNode(LoopNode):
         served = 0.0
         while not self.stopping and self._writer.error is None:
             self._taker.take_all(SPIN_LIMIT)
+            if self.lockstep:       # waking up costs more than taking; the loop needs the time
+                time.sleep(LET_COLLECT)
             if time.monotonic() - served > SERVE:
                 self._executor.spin_once(timeout_sec=0.0)
                 served = time.monotonic()

@@ -142,10 +142,10 @@ class ReplayNode(Node):
                     'namespace or ROS_DOMAIN_ID') from None
         return publisher
 
-    def _batches(self) -> Batches:
-        """Return the run's messages from the beginning."""
+    def _batches(self, since: int) -> Batches:
+        """Return the run's messages, earlier ones left out where that saves reading them."""
         self._source = open_source(self._path)
-        return self._source.batches()
+        return self._source.batches(since)
 
     def run(self) -> None:
         """Play until the end, or until told to end.

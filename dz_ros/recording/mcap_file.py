@@ -30,6 +30,7 @@ from dz_ros.recording.mcap_index import HEAD, Index, read_index
 
 MAGIC = b'\x89MCAP0\r\n'
 _MESSAGE = struct.Struct('<HIqq')
+_LAST_TIME = struct.Struct('<8xQ')
 _NO_CRC = bytes(4)
 _PRIVATE = 0x80
 """Record kinds from here on belong to applications and are passed over."""
@@ -85,12 +86,14 @@ class McapFile:
         damage: What was left out, in words.
     """
 
-    def __init__(self, path: Path, skip_damage: bool = False) -> None:
+    def __init__(self, path: Path, skip_damage: bool = False, since: int = 0) -> None:
         """Prepare to read.
 
         Args:
             path: The file.
             skip_damage: Leave out what is damaged and go on, instead of raising.
+            since: Leave out the chunks before the first one with a message as late as this, if
+                the file is whole [ns since the epoch]; not all that is left is as late.
         """
         self.path = path
         self.topics: dict[str, Topic] = {}
@@ -98,6 +101,7 @@ class McapFile:
         self.cut = ''
         self.damage: list[str] = []
         self._skip_damage = skip_damage
+        self._since = since
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, str] = {}
         self._first: int | None = None
@@ -131,7 +135,8 @@ class McapFile:
         position = len(MAGIC)
         crc: int | None = zlib.crc32(MAGIC)
         loose: list[Message] = []
-        index = read_index(file) if self._skip_damage else Index()
+        index = read_index(file) if self._skip_damage or self._since else Index()
+        before = bool(self._since and index.definitions)
         for opcode, body in index.definitions:
             self._define(opcode, ReadDataStream(BytesIO(body)))
         file.seek(position)
@@ -157,7 +162,9 @@ class McapFile:
             if opcode == Opcode.DATA_END:
                 self._check(position, crc, body[:4])
             elif opcode == Opcode.CHUNK:
-                found = self._read(position, self._chunk, body)
+                before = (before and length >= _LAST_TIME.size
+                          and _LAST_TIME.unpack_from(body)[0] < self._since)
+                found = [] if before else self._read(position, self._chunk, body)
                 if found:
                     yield found
             elif opcode == Opcode.MESSAGE:

@@ -48,7 +48,8 @@ class Player:
     """Plays one run; nothing moves before `begin`.
 
     Args:
-        open_batches: Returns all messages of the run from its beginning, some at a time.
+        open_batches: Returns the messages of the run, some at a time; those before the first one
+            as late as its argument [ns since the epoch] may be left out.
         rate: How many times faster than recorded; > 0.
         start: Offset at which to begin, from the first message of the run [s]; >= 0.
         duration: Length of what is played, in recorded time [s]; 0 = to the end.
@@ -70,7 +71,7 @@ class Player:
         RecordingError: Nothing of the run would be played.
     """
 
-    def __init__(self, open_batches: Callable[[], Batches], *, rate: float = 1.0,
+    def __init__(self, open_batches: Callable[[int], Batches], *, rate: float = 1.0,
                  start: float = 0.0, duration: float = 0.0, loop: bool = False,
                  topics: Container[str] | None = None, paused: bool = False,
                  clock: Callable[[], int] = time.monotonic_ns) -> None:
@@ -84,7 +85,7 @@ class Player:
         self.rate = checked_rate(rate)
         self.paused = paused
         self.played = self.late = self.worst_ns = 0
-        self.first_ns = next((message.log_time for batch in open_batches() for message in batch),
+        self.first_ns = next((message.log_time for batch in open_batches(0) for message in batch),
                              0)
         self._start = self.first_ns + round(start * 1e9)
         self._limit = self._start + round(duration * 1e9) if duration else None
@@ -242,7 +243,7 @@ class Player:
         while True:
             played = over = False
             now = 0
-            for batch in self._open():
+            for batch in self._open(begin):
                 found = []
                 for message in batch:
                     now = max(now, message.log_time)

@@ -55,17 +55,22 @@ class Source:
         """Bytes of all files."""
         return sum(file.stat().st_size for file in self.files)
 
-    def batches(self) -> Iterator[list[Message]]:
+    def batches(self, since: int = 0) -> Iterator[list[Message]]:
         """Yield all messages in the order in which they were recorded, some at a time.
+
+        Args:
+            since: Messages before the first one as late as this may be left out [ns since the
+                epoch].
 
         Raises:
             RecordingError: A file is missing or not what it should be.
             DamagedRunError: A checksum or record is wrong.
         """
         for path in self.files:
-            file = McapFile(path, self._skip_damage)
+            file = McapFile(path, self._skip_damage, since)
             for batch in file.batches():
                 self.topics.update(file.topics)
+                since = 0       # what follows is wanted, whatever its time
                 yield batch
             self.topics.update(file.topics)
             self.metadata += file.metadata
@@ -115,8 +120,11 @@ class Source:
 class RosbagsSource(Source):
     """A bag that only rosbags can open."""
 
-    def batches(self) -> Iterator[list[Message]]:
+    def batches(self, since: int = 0) -> Iterator[list[Message]]:
         """Yield all messages by log time, some at a time; publish times are log times.
+
+        Args:
+            since: Leave out what is earlier [ns since the epoch].
 
         Raises:
             MissingDependencyError: rosbags is not installed.
@@ -134,7 +142,7 @@ class RosbagsSource(Source):
                     self.topics[item.topic] = Topic(item.topic, item.msgtype,
                                                     item.ext.serialization_format,
                                                     item.msgdef.data, type_hash=item.digest)
-                for connection, time, payload in reader.messages():
+                for connection, time, payload in reader.messages(start=since or None):
                     found.append(Message(connection.topic, bytes(payload), time, time))
                     if len(found) == _BATCH:
                         yield found

@@ -13,6 +13,7 @@ import pytest
 from dz_ros.analysis.counterpart import without_dead_zone
 from dz_ros.analysis.guarantee import guarantee
 from dz_ros.analysis.report import PICTURES, write_report
+from dz_ros.analysis.sections import event_text
 from dz_ros.analysis.view import View
 from dz_ros.errors import ConfigurationError, RecordingError
 
@@ -141,6 +142,15 @@ def test_what_comes_from_a_run_is_text_not_markup(report):
     assert '<script>' not in path.read_text(encoding='utf-8')
     assert page.row('0.005') == ['0.005', 'recorder<node>', '<script>alert(1)</script>']
     assert 'A & <B>' in page.words
+
+
+def test_events_are_short_lines():
+    told = event_text('{"node": "/plant_node", "event": "configuration", "version": "0.1.0", '
+                      '"configuration": {"loop.rate": 200.0}, "set_aside": []}')
+    assert told == 'event configuration, version 0.1.0'
+    assert event_text('not {json') == 'not {json'
+    assert event_text('[1, 2]') == '[1, 2]'
+    assert len(event_text('x' * 1000)) == 301
 
 
 def test_an_offline_run_says_it_has_no_timing(simulated, tmp_path):

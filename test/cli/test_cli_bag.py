@@ -21,7 +21,7 @@ def fingerprint(run):
 @pytest.fixture
 def recorded(tmp_path, capsys):
     run = tmp_path / 'run'
-    assert main(['simulate', '--duration', '4', '--record', str(run)]) == 0
+    assert main(['simulate', 'wang2004', '--duration', '4', '--record', str(run)]) == 0
     capsys.readouterr()
     return run
 

@@ -16,7 +16,7 @@ from dz_ros.core.loop import simulate
 @pytest.fixture(scope='module')
 def recorded(tmp_path_factory):
     run = tmp_path_factory.mktemp('report') / 'run'
-    assert main(['simulate', '--duration', '6', '--record', str(run)]) == 0
+    assert main(['simulate', 'wang2004', '--duration', '6', '--record', str(run)]) == 0
     return run
 
 
@@ -64,8 +64,8 @@ def test_json_is_for_programs_and_writes_nothing(recorded, tmp_path, capsys):
 
 def test_a_second_run_replaces_the_simulated_one(recorded, tmp_path, capsys):
     other = tmp_path / 'other'
-    assert main(['simulate', '--duration', '3', '--set', 'plant.dead_zone={b_r: 0, b_l: 0}',
-                 '--record', str(other)]) == 0
+    assert main(['simulate', 'wang2004', '--duration', '3', '--set',
+                 'plant.dead_zone={b_r: 0, b_l: 0}', '--record', str(other)]) == 0
     assert main(['report', str(recorded), '--without-dead-zone', str(other), '--out',
                  str(tmp_path / 'a')]) == 0
     assert main(['report', str(other), '--out', str(tmp_path / 'b')]) == 0

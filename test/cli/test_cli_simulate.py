@@ -45,7 +45,7 @@ def test_csv_is_the_reference_run(tmp_path, capsys):
 
 def test_csv_loses_no_digit(tmp_path):
     out = tmp_path / 'run.csv'
-    assert main(['simulate', *SHORT, '--csv', str(out)]) == 0
+    assert main(['simulate', 'wang2004', *SHORT, '--csv', str(out)]) == 0
     header, rows = read(out)
     run = simulate(Configuration.from_flat({'loop.duration': 0.5}))
     for k, row in enumerate(rows):
@@ -74,7 +74,8 @@ def test_columns_follow_order_and_law(config, law, expected, tmp_path):
 def test_csv_has_the_true_state_though_the_law_sees_noise(tmp_path):
     out = tmp_path / 'run.csv'
     overrides = {'plant.noise': [0.01, 0.1], 'loop.duration': 0.5}
-    assert main(['simulate', '--set', 'plant.noise=[0.01, 0.1]', *SHORT, '--csv', str(out)]) == 0
+    assert main(['simulate', 'wang2004', '--set', 'plant.noise=[0.01, 0.1]', *SHORT, '--csv',
+                 str(out)]) == 0
     header, rows = read(out)
     run = simulate(Configuration.from_flat(overrides))
     assert not np.array_equal(run.x, run.x_measured)
@@ -83,7 +84,7 @@ def test_csv_has_the_true_state_though_the_law_sees_noise(tmp_path):
 
 
 def test_csv_on_standard_output_stands_alone_there(capsys):
-    assert main(['simulate', *SHORT, '--csv', '-']) == 0
+    assert main(['simulate', 'wang2004', *SHORT, '--csv', '-']) == 0
     out, err = capsys.readouterr()
     assert len(out.splitlines()) == 102
     assert all(line.count(',') == 13 for line in out.splitlines())
@@ -92,7 +93,8 @@ def test_csv_on_standard_output_stands_alone_there(capsys):
 
 def test_recording_is_the_run(tmp_path):
     out = tmp_path / 'run'
-    assert main(['simulate', '--set', 'controller.lambda=2', *SHORT, '--record', str(out)]) == 0
+    assert main(['simulate', 'wang2004', '--set', 'controller.lambda=2', *SHORT, '--record',
+                 str(out)]) == 0
     data = read_run(out)
     run = simulate(load_configuration('wang2004', ['controller.lambda=2', 'loop.duration=0.5']))
     assert np.array_equal(data.channels['state'].values[:, 2:4], run.x)
@@ -119,7 +121,7 @@ def test_metrics_are_those_of_the_paper_s_example(capsys):
     ['--duration', '0'], ['--duration', '0.001'], ['--duration', '-1'], ['--duration', 'nan'],
     ['--duration', 'inf'], ['--duration', 'long'], ['--duration', ''],
     ['--set', 'trajectory.file=nowhere.csv'], ['--set', 'plant.model=valve_actuator'],
-    ['--set', 'controller.lambda=12'], ['--set', 'plant.x0=[1]'],
+    ['wang2004', '--set', 'controller.lambda=12'], ['--set', 'plant.x0=[1]'],
 ])
 def test_mistakes_are_one_line_and_leave_nothing(words, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -134,11 +136,11 @@ def test_mistakes_are_one_line_and_leave_nothing(words, tmp_path, capsys, monkey
 def test_nothing_is_overwritten(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path('run.csv').write_text('precious')
-    assert main(['simulate', *SHORT, '--csv', 'run.csv']) == 2
+    assert main(['simulate', 'wang2004', *SHORT, '--csv', 'run.csv']) == 2
     assert 'run.csv: exists already' in capsys.readouterr().err
     assert Path('run.csv').read_text() == 'precious'
     Path('run').mkdir()
-    assert main(['simulate', *SHORT, '--csv', 'new.csv', '--record', 'run']) == 2
+    assert main(['simulate', 'wang2004', *SHORT, '--csv', 'new.csv', '--record', 'run']) == 2
     assert 'run: exists already' in capsys.readouterr().err
     assert not Path('new.csv').exists()
     assert list(Path('run').iterdir()) == []
@@ -146,7 +148,7 @@ def test_nothing_is_overwritten(tmp_path, capsys, monkeypatch):
 
 def test_a_folder_that_is_not_there(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert main(['simulate', *SHORT, '--csv', 'nowhere/run.csv']) == 2
+    assert main(['simulate', 'wang2004', *SHORT, '--csv', 'nowhere/run.csv']) == 2
     assert 'nowhere: no such directory' in capsys.readouterr().err
 
 
@@ -156,7 +158,7 @@ def test_a_folder_that_is_not_there(tmp_path, capsys, monkeypatch):
 ])
 def test_divergence_names_the_time(overrides, capsys):
     words = [word for key, value in overrides.items() for word in ('--set', f'{key}={value}')]
-    assert main(['simulate', *words]) == 2
+    assert main(['simulate', 'wang2004', *words]) == 2
     err = capsys.readouterr().err
     assert err.count('\n') == 1
     last = round(float(re.search(r'at t = ([\d.e-]+) s', err).group(1)) / 0.005)
@@ -174,7 +176,7 @@ def test_divergence_names_the_time(overrides, capsys):
 
 
 def test_what_is_typed_in_vain_is_said(capsys):
-    assert main(['simulate', *SHORT, '--set', 'controller.law=pd', '--set',
+    assert main(['simulate', 'wang2004', *SHORT, '--set', 'controller.law=pd', '--set',
                  'controller.k_star=3']) == 0
     err = capsys.readouterr().err
     assert err.startswith('dz: note: controller.k_star is set aside')

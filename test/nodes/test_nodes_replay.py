@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 import json
+from pathlib import Path
+import re
 import signal
 import time
 
@@ -308,3 +310,23 @@ def test_message_classes_are_found_by_name():
     assert message_class('std_msgs/msg/NoSuchType') is None
     assert message_class('') is None
     assert message_class('../std_msgs/msg/String') is None
+
+
+def test_the_example_in_the_document_says_what_is_printed(processes, tmp_path):
+    document = Path(__file__).parents[2] / 'docs' / 'replay.md'
+    section = document.read_text(encoding='utf-8').partition('\n## Replay\n')[2]
+    (block,) = re.findall(r'^```console\n(.*?)^```', section, re.DOTALL | re.MULTILINE)
+    made = processes('-m', 'dz_ros', 'simulate', 'wang2004', '--duration', '5', '--record',
+                     'runs/a', cwd=tmp_path, PYTHONPATH=str(Path(__file__).parents[2]))
+    assert made.wait() == 0, made.output
+    for example in block.split('$ dz ')[1:]:
+        command, _, expected = example.partition('\n')
+        shown = processes('-m', 'dz_ros', *command.split(), cwd=tmp_path,
+                          PYTHONPATH=str(Path(__file__).parents[2]))
+        assert shown.wait() in (0, 1), shown.output
+        for line in expected.splitlines():      # numbers to three digits: libraries differ
+            assert rounded(line) in rounded(shown.output)
+
+
+def rounded(text):
+    return re.sub(r'\d+\.\d{3,}', lambda found: f'{float(found[0]):.3g}', text)

@@ -5,8 +5,12 @@ from hypothesis import strategies as st
 import pytest
 
 from dz_ros.errors import ConfigurationError, RecordingError
-from dz_ros.recording.mcap_file import Message
+from dz_ros.recording.cdr import encode_string
+from dz_ros.recording.channels import TEXT
+from dz_ros.recording.mcap_file import McapFile, Message
 from dz_ros.recording.player import Player, READ_AHEAD
+from dz_ros.recording.source import open_source
+from dz_ros.recording.writer import RunWriter
 
 FIRST = 1_700_000_000_000_000_000
 SECOND = 1_000_000_000
@@ -28,7 +32,7 @@ def messages(*offsets, topic='/state'):
 
 def player_of(items, clock, batch=3, **options):
     batches = [items[i:i + batch] for i in range(0, len(items), batch)]
-    player = Player(lambda: iter(batches), clock=clock, **options)
+    player = Player(lambda since: iter(batches), clock=clock, **options)
     player.begin()
     return player
 
@@ -105,13 +109,13 @@ def test_both_ends_of_the_chosen_part_belong_to_it():
 ])
 def test_nothing_to_play_and_numbers_that_cannot_be(options, error):
     with pytest.raises(error) as caught:
-        Player(lambda: [messages(0.0, 1.0)], **options)
+        Player(lambda since: [messages(0.0, 1.0)], **options)
     assert '\n' not in str(caught.value)
 
 
 def test_an_empty_run_has_nothing_to_play():
     with pytest.raises(RecordingError, match='nothing to play'):
-        Player(lambda: [])
+        Player(lambda since: [])
 
 
 def test_laps_of_a_loop_follow_each_other_without_drift():
@@ -210,7 +214,7 @@ def test_the_rate_changes_from_now_on():
 
 def test_nothing_moves_before_the_beginning():
     clock = Clock()
-    player = Player(lambda: [messages(0.0, 1.0)], clock=clock)
+    player = Player(lambda since: [messages(0.0, 1.0)], clock=clock)
     clock.now += SECOND
     assert player.take() is None
     assert player.offset == 0.0
@@ -221,7 +225,7 @@ def test_nothing_moves_before_the_beginning():
 def test_no_more_is_read_than_is_needed():
     read = 0
 
-    def batches():
+    def batches(since):
         nonlocal read
         for i in range(1000):
             read += 1
@@ -238,3 +242,40 @@ def test_no_more_is_read_than_is_needed():
         clock.now = max(clock.now, player.due_ns)
         player.take()
     assert read <= 500 + READ_AHEAD // 100 + 2
+
+
+@pytest.mark.parametrize('offset', [0.0, 0.001, 7.3, 59.999, 60.0, 61.0])
+def test_seeking_in_a_file_skips_what_it_need_not_read(tmp_path, offset, monkeypatch):
+    run = tmp_path / 'run'
+    with RunWriter(run, {}, {}) as writer:
+        writer.add_topic('/events', TEXT.name)
+        for i in range(6001):
+            back = 3 * SECOND if i % 500 == 499 else 0      # now and then the clock steps back
+            writer.write('/events', encode_string(f'{i} {"x" * 100}'),
+                         FIRST + i * SECOND // 100 - back, 0)
+    read = []
+    contents = McapFile._contents
+    monkeypatch.setattr(McapFile, '_contents', lambda self, data: read.append(len(data))
+                        or contents(self, data))
+    clock = Clock()
+
+    def played(open_batches):
+        read.clear()
+        player = Player(open_batches, clock=clock)
+        player.begin()
+        read.clear()
+        player.seek(FIRST + round(offset * SECOND))
+        found = []
+        while player.low:
+            player.read_ahead()
+        while player._queue:
+            clock.now = player.due_ns
+            found.append(player.take())
+            while player.low:
+                player.read_ahead()
+        return found, sum(read)
+
+    some, skipping = played(lambda since: open_source(run).batches(since))
+    everything, plain = played(lambda since: open_source(run).batches())
+    assert some == everything
+    assert skipping <= plain * (1.1 - offset / 61.0)

@@ -1,4 +1,4 @@
-"""Adaptive sliding control with an integral in the surface, any order n [slotine_li1991] (chapter 7).
+"""Adaptive sliding control with an integral in the surface [slotine_li1991], any order n.
 
     s    = (p + λ)ⁿ ∫x̃          n = 2:  x̃' + 2λ x̃ + λ² I
     u_fd = x_d^(n) − (s' − x̃^(n))   n = 2:  x_d'' − 2λ x̃' − λ² x̃

@@ -1,0 +1,198 @@
+"""Steps per second of the loop in lockstep over DDS, recorded, beside bare two-process echoes.
+
+The echoes are the least a step can be: two processes, the same bytes by the same client library,
+executor and quality of service, no number computed, nobody recording.
+
+    echo of all messages    one side sends state, truth and the clock's time, the other answers
+                            with command, terms and reference: all that a step of the loop sends
+    echo of state, command  the two that have to wait for each other
+
+Loop and echoes take turns, so that they meet the same machine. On a busy machine the ratio says
+more than the speed.
+
+    python benchmarks/lockstep.py [--repetitions N] [--duration S]
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+import contextlib
+import os
+from pathlib import Path
+import re
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.machine import describe  # noqa: E402
+from dz_ros.core.records import Command, Reference, State, Terms, Truth  # noqa: E402
+from dz_ros.recording.cdr import ArrayCodec  # noqa: E402
+
+RATE = 200.0
+"""Samples per second of loop time in the configuration measured."""
+TARGET_STEPS, TARGET_RATIO = 5.0 * RATE, 0.6
+def payload(labels: tuple[str, ...]) -> bytes:
+    """Return the bytes of a record with these labels."""
+    return ArrayCodec(labels).encode([0.0] * len(labels))
+
+
+FORTH = {'state': payload(State.labels(2)), 'truth': payload(Truth.labels()),
+         'time': payload(('sec', 'nanosec'))}
+BACK = {'command': payload(Command.labels()),
+        'terms': payload(Terms.labels(('theta1', 'theta2', 'phi'))),
+        'reference': payload(Reference.labels(2))}
+"""Topic → bytes, the one that the other side waits for first."""
+TIME_OUT = 180.0
+
+
+def loop(duration: float, record: bool) -> float:
+    """Return steps per second of one run, as its plant measured them."""
+    with tempfile.TemporaryDirectory() as folder:
+        words = ['--record', str(Path(folder) / 'run')] if record else []
+        done = subprocess.run(
+            [sys.executable, '-m', 'dz_ros', 'run', '--lockstep', '--duration', str(duration),
+             '--quiet', *words], cwd=ROOT, capture_output=True, text=True, check=False,
+            timeout=TIME_OUT)
+        found = re.search(r'(\d+) per second', done.stdout)
+        if done.returncode or found is None:
+            sys.exit(done.stdout + done.stderr)
+        if record and 'none missing' not in done.stdout:
+            sys.exit(f'the recording is not whole: {done.stdout}')
+        return float(found[1])
+
+
+def echo(count: int, whole: bool) -> float:
+    """Return round trips per second of a bare echo, of all messages or of two."""
+    size = len(FORTH) if whole else 1
+    answering = subprocess.Popen([sys.executable, __file__, '--answer', str(size)], cwd=ROOT)
+    try:
+        with Side(list(FORTH.items())[:size], list(BACK)[:size]) as side:
+            return side.ask(count)
+    finally:
+        answering.terminate()
+        answering.wait(TIME_OUT)
+
+
+class Side:
+    """One of the two: what it sends, what it hears."""
+
+    def __init__(self, sends: Sequence[tuple[str, bytes]], hears: Sequence[str]) -> None:
+        import rclpy
+        from std_msgs.msg import Float64MultiArray
+
+        from dz_ros.nodes.base import _executor
+        from dz_ros.nodes.topics import LOCKSTEP
+
+        rclpy.init()
+        self.node = rclpy.create_node(f'echo_{sends[0][0]}')
+        self.executor = _executor()
+        self.executor.add_node(self.node)
+        self.outputs = [(self.node.create_publisher(Float64MultiArray, f'echo/{name}', LOCKSTEP)
+                         .publish, data) for name, data in sends]
+        self.heard = self.others = 0
+        self.answering = False
+        for i, name in enumerate(hears):
+            self.node.create_subscription(Float64MultiArray, f'echo/{name}', self.other if i
+                                          else self.first, LOCKSTEP, raw=True)
+
+    def send(self) -> None:
+        """Send one of each."""
+        for publish, data in self.outputs:
+            publish(data)
+
+    def first(self, _data: bytes) -> None:
+        """Hear what is waited for."""
+        self.heard += 1
+        if self.answering:
+            self.send()
+
+    def other(self, _data: bytes) -> None:
+        """Hear anything else."""
+        self.others += 1
+
+    def ask(self, count: int) -> float:
+        """Send, wait for the answer, and so on; return how often per second."""
+        give_up = time.monotonic() + TIME_OUT
+        while not self.heard:       # until both hear each other
+            self.send()
+            self.executor.spin_once(timeout_sec=0.5)
+            if time.monotonic() > give_up:
+                sys.exit('nobody answers')
+        quiet = time.monotonic() + 1.0
+        while time.monotonic() < quiet:
+            self.executor.spin_once(timeout_sec=0.05)
+        self.heard, self.answering = 0, True
+        begin = time.perf_counter()
+        self.send()                 # from here on one step is under way, never two
+        while self.heard < count:
+            self.executor.spin_once(timeout_sec=0.05)
+            if time.monotonic() > give_up:
+                sys.exit('the echo was lost')
+        return self.heard / (time.perf_counter() - begin)
+
+    def answer(self) -> None:
+        """Answer until told to end."""
+        from rclpy.executors import ExternalShutdownException
+
+        self.answering = True
+        with contextlib.suppress(ExternalShutdownException):
+            while True:
+                self.executor.spin_once(timeout_sec=0.05)
+
+    def __enter__(self) -> Side:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        import rclpy
+
+        self.executor.remove_node(self.node)
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def main() -> int:
+    """Measure in turns; print medians; return 1 if a target is missed."""
+    parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
+    parser.add_argument('--repetitions', type=int, default=5)
+    parser.add_argument('--duration', type=float, default=15.0, help='of a run [s of loop time]')
+    parser.add_argument('--answer', type=int, default=0, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.answer:
+        with Side(list(BACK.items())[:arguments.answer], list(FORTH)[:arguments.answer]) as side:
+            side.answer()
+        return 0
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    os.environ['PYTHONPATH'] = str(ROOT)
+    print(describe('ros-rclpy', 'ros-rmw-fastrtps-cpp'))
+    speeds: dict[str, list[float]] = {}
+    for _ in range(arguments.repetitions):
+        for name, speed in (
+                ('echo of all messages', lambda: echo(round(arguments.duration * RATE), True)),
+                ('loop, recorded', lambda: loop(arguments.duration, True)),
+                ('loop, not recorded', lambda: loop(arguments.duration, False)),
+                ('echo of state, command', lambda: echo(round(arguments.duration * RATE), False))):
+            speeds.setdefault(name, []).append(speed())
+    for name, values in speeds.items():
+        print(f'{name:<22}  median {statistics.median(values):6.0f} steps/s   '
+              f'({", ".join(f"{value:.0f}" for value in values)})')
+    steps = statistics.median(speeds['loop, recorded'])
+    ratios = {name: statistics.median(a / b for a, b in zip(
+        speeds['loop, recorded'], speeds[name], strict=True))
+        for name in speeds if name.startswith('echo')}
+    print(f'recorded: {steps / RATE:.1f} × real time (target {TARGET_STEPS / RATE:g})')
+    for name, ratio in ratios.items():
+        print(f'recorded / {name}: median {ratio:.2f}')
+    ratio = ratios['echo of all messages']
+    print(f'target {TARGET_RATIO:g} of the echo of all messages: '
+          f'{"met" if ratio >= TARGET_RATIO else "missed"}')
+    return 0 if steps >= TARGET_STEPS and ratio >= TARGET_RATIO else 1
+
+
+if __name__ == '__main__':
+    sys.exit(main())
