@@ -34,6 +34,12 @@ EXPECTED = {
 BEST_RIVAL = {'nominal': .0042, 'drift': .0052, 'b=0.5': .0058, 'b=2': .0045, 'noise': .0056,
               'saturation': .0045, 'delay 1': .0045}
 """The same of the best rival of each scenario."""
+NOTE = (
+    'Apart by more than 20 %: the best rival under drift. Here it is `neural`, 0.0041 with the '
+    'hidden layer that seed 0 draws; seeds 0 to 7 give 0.0040 to 0.0048. The next ones are '
+    '`exact_inverse k=2.5` with 0.0055 and `fuzzy` with 0.0060. The 0.0052 was not said to be of '
+    'which law; a hidden layer drawn otherwise would explain it, which cannot be checked. For the '
+    'laws as they stand in `dz_ros/core/laws/` the number in the table is right.')
 OURS = ('robust', 'wang2004', 'extended')
 
 
@@ -95,7 +101,7 @@ def write(arena: Arena) -> None:
                   '|' + '---|' * len(HEAD), *(f'| {" | ".join(row)} |' for row in rows), '']
     lines += ['## Against what the laws were designed for', '',
               'Largest error, and what separate programs gave when the laws were designed; more '
-              'than 20 % apart is bold.', '', *expected(arena), '']
+              'than 20 % apart is bold.', '', *expected(arena), '', NOTE, '']
 
     (ROOT / 'docs' / 'images').mkdir(exist_ok=True)
     (ROOT / 'docs' / 'arena.md').write_text('\n'.join(lines), encoding='utf-8')

@@ -26,8 +26,6 @@ Task = tuple[Callable[..., Any], tuple[Any, ...]]
 
 PATIENCE = 30
 """Longest wait for a scheduler to answer [s]."""
-DEATHS = 10
-"""A task whose worker died this often is given up."""
 
 
 def cores() -> int:
@@ -78,25 +76,27 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[tuple[int, Any]
     if find_spec('distributed') is None:
         raise MissingDependencyError("dask.distributed is not installed: pip install "
                                      "'dz_ros[cluster]'")
-    import dask
     from distributed import as_completed as as_ready
-    from distributed import Client
+    from distributed import Client, KilledWorker
 
-    with dask.config.set({'distributed.scheduler.allowed-failures': DEATHS}):
+    try:
+        client = Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ConfigurationError('--cluster', address,
+                                 f'no scheduler answers there: {error}') from error
+    with client, client.as_current():
+        places = {}
+        futures = []
+        for place, (function, arguments) in enumerate(tasks):
+            future = client.submit(function, *arguments, pure=False, priority=-place)
+            places[future.key] = place
+            futures.append(future)
         try:
-            client = Client(address, timeout=PATIENCE, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise ConfigurationError('--cluster', address, 'no scheduler answers there: '
-                                     f'{error}') from error
-        with client:
-            places = {}
-            futures = []
-            for place, (function, arguments) in enumerate(tasks):
-                future = client.submit(function, *arguments, pure=False, priority=-place)
-                places[future.key] = place
-                futures.append(future)
             for future in as_ready(futures):
                 place = places[future.key]
                 result = future.result()
                 future.release()
                 yield place, result
+        except KilledWorker as error:
+            raise LoopError(f'the scheduler gave up on a task, its workers keep dying: {error}'
+                            ) from error
