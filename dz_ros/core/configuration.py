@@ -44,11 +44,22 @@ class LoopSettings:
                             choices=('realtime', 'lockstep'))
     duration: float = parameter(20.0, 's', 'length of a run; 0 = until stopped (a loop of nodes '
                                 'only)', minimum=0.0, structural=True)
-    seed: int = parameter(0, '1', 'seed of everything random', minimum=0, structural=True)
+    seed: int = parameter(0, '1', 'seed of everything random', minimum=0, maximum=2 ** 53,
+                          structural=True)
     peers: tuple[str, ...] = parameter(
         ('plant_node', 'controller_node', 'trajectory_node'), '', 'names of the nodes that must '
         'be there before the first sample; add recorder_node to have it recorded',
         structural=True)
+
+    def check(self, prefix: str) -> None:
+        """Check that a run has a sample after the first.
+
+        Raises:
+            ConfigurationError: It has not.
+        """
+        if self.duration > 0.0 and self.samples < 1:
+            raise ConfigurationError(f'{prefix}duration', self.duration, 'must be 0 (until '
+                                     f'stopped) or at least one period, {self.period:g} s')
 
     @property
     def period(self) -> float:

@@ -63,7 +63,11 @@ class SimulatedActuator:
         """Take a command that arrives at loop time t [s]; it acts `loop.delay` samples later."""
         if self._limit > 0.0:
             v = min(max(v, -self._limit), self._limit)
-        at = t if self._delay == 0 else (round(t / self._period) + self._delay) * self._period
+        sample = round(t / self._period)
+        if self._delay == 0 or abs(t - sample * self._period) > SNAP:
+            at = t + self._delay * self._period
+        else:
+            at = (sample + self._delay) * self._period
         self._pending.append((at, v))
 
     def measure(self) -> tuple[float, ...]:
