@@ -38,7 +38,7 @@ NOTE = (
     'Apart by more than 20 %: the best rival under drift. Here it is `neural`, 0.0041 with the '
     'hidden layer that seed 0 draws; seeds 0 to 7 give 0.0040 to 0.0048. The next ones are '
     '`exact_inverse k=2.5` with 0.0055 and `fuzzy` with 0.0060. The 0.0052 was not said to be of '
-    'which law; a hidden layer drawn otherwise would explain it, which cannot be checked. For the '
+    'which law; a hidden layer drawn otherwise might explain it, which cannot be checked. For the '
     'laws as they stand in `dz_ros/core/laws/` the number in the table is right.')
 OURS = ('robust', 'wang2004', 'extended')
 
