@@ -3,8 +3,6 @@
 import itertools
 import math
 
-from hypothesis import given
-from hypothesis import strategies as st
 import pytest
 
 from dz_ros.core.configuration import Configuration
@@ -13,164 +11,12 @@ from dz_ros.core.loop import simulate
 from dz_ros.core.records import Command, Reference, State, Status
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
 from dz_ros.core.safety.controller_guard import ControllerGuard, REPEATS
-from dz_ros.core.safety.gate import OutputGate
-from dz_ros.core.safety.guards import FutureGuard, JUMP, RIVALS, SequenceGuard, Verdict
+from dz_ros.core.safety.guards import RIVALS
 from dz_ros.core.safety.settings import SafetySettings
-from dz_ros.core.safety.supervisor import Supervisor
-from dz_ros.core.safety.table import Action, Event, LATCHED, LIFE, Life, Mode, MODES
+from dz_ros.core.safety.table import Mode
 from dz_ros.errors import ConfigurationError
 
 T = 0.005
-
-
-# --- the tables
-
-@pytest.mark.parametrize('mode', Mode)
-def test_estop_and_fault_always_latch_and_the_safe_command_goes_out(mode):
-    for event, goal in ((Event.ESTOP, Mode.ESTOP), (Event.FAULT, Mode.FAULT)):
-        supervisor = Supervisor()
-        supervisor.mode = mode
-        action = supervisor.happen(event)
-        assert supervisor.mode is (Mode.ESTOP if mode is Mode.ESTOP else goal)
-        if mode not in LATCHED:
-            assert action is Action.SAFE
-
-
-def test_only_a_reset_leaves_a_latched_mode():
-    for (mode, event), (following, _) in MODES.items():
-        if mode in LATCHED and following not in LATCHED:
-            assert event is Event.RESET
-    for mode, event in MODES:
-        assert event is not Event.RESET or mode in LATCHED
-
-
-def test_the_law_starts_only_on_fresh_input():
-    for (_, event), (following, action) in MODES.items():
-        assert (following is Mode.RUNNING) == (event is Event.INPUT) == (action is Action.START)
-
-
-def test_every_way_out_of_running_that_may_leave_the_actuator_moving_is_safe():
-    for (mode, event), (following, action) in MODES.items():
-        if mode is Mode.RUNNING and following is not Mode.RUNNING:
-            assert action is Action.SAFE or event is Event.END
-
-
-def test_life_follows_the_standard_and_a_latch_outlives_it():
-    changes = []
-    supervisor = Supervisor(changes.append)
-    for name in ('configure', 'activate'):
-        supervisor.transition(name)
-    supervisor.happen(Event.INPUT)
-    assert supervisor.running
-    supervisor.happen(Event.FAULT, 'why')
-    for name, life in (('deactivate', Life.INACTIVE), ('cleanup', Life.UNCONFIGURED),
-                       ('configure', Life.INACTIVE), ('activate', Life.ACTIVE)):
-        supervisor.transition(name)
-        assert (supervisor.life, supervisor.mode, supervisor.reason) == (life, Mode.FAULT, 'why')
-    supervisor.transition('shutdown')
-    assert supervisor.life is Life.FINALIZED
-    with pytest.raises(LookupError):
-        supervisor.transition('activate')
-    assert [change.mode for change in changes] == [Mode.RUNNING, Mode.FAULT]
-    assert {life for life, _ in LIFE} | {Life.FINALIZED} == set(Life)
-
-
-# --- the gate
-
-def test_with_everything_off_the_very_number_comes_out():
-    gate = OutputGate(SafetySettings(), T)
-    gate.start(0.0)
-    for k, v in enumerate((0.1, -1e300, 5e-324, -0.0, 16.734958)):
-        out = gate.let_out(v, k * T)
-        assert (out, math.copysign(1.0, out)) == (v, math.copysign(1.0, v))
-    assert (gate.limited, gate.refused) == (0, 0)
-
-
-@pytest.mark.parametrize('v', [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_comes_out_safe(v):
-    for settings in (SafetySettings(safe_command=0.25),
-                     SafetySettings(safe_command=0.25, command_limit=5.0, rate_limit=1.0)):
-        gate = OutputGate(settings, T)
-        assert gate.let_out(v, 0.0) == gate.output == 0.25
-        assert gate.refused == 1
-
-
-@given(st.lists(st.tuples(st.floats(), st.floats())), st.floats(0.0, 1e300), st.floats(0.0, 10.0),
-       st.sampled_from([0.0, 2.0]), st.floats(-1.0, 1.0))
-def test_nothing_else_ever_comes_out(commands, rate, ramp, limit, safe):
-    gate = OutputGate(SafetySettings(rate_limit=rate, ramp=ramp, command_limit=limit,
-                                     safe_command=safe), T)
-    gate.start(0.0)
-    for v, t in commands:
-        out = gate.let_out(v, t)
-        assert math.isfinite(out)
-        assert limit == 0.0 or abs(out) <= limit
-
-
-def test_limits_on_value_and_rate_and_the_ramp():
-    gate = OutputGate(SafetySettings(command_limit=2.0), T)
-    assert [gate.let_out(v, 0.0) for v in (1.0, 3.0, -3.0)] == [1.0, 2.0, -2.0]
-    gate = OutputGate(SafetySettings(rate_limit=100.0, safe_command=1.0), T)
-    gate.start(7.0)
-    steps = [gate.let_out(10.0, 7.0 + k * T) for k in range(4)]
-    assert steps == pytest.approx([1.5, 2.0, 2.5, 3.0])
-    # After a long pause it moves by three samples' worth, not by the pause's.
-    assert gate.let_out(10.0, 99.0) == pytest.approx(4.5)
-    assert gate.safe(99.1) == 1.0       # the way to the safe command has no limit
-    gate = OutputGate(SafetySettings(ramp=0.1, safe_command=1.0), T)
-    gate.start(2.0)
-    assert gate.let_out(3.0, 2.0) == 1.0
-    assert gate.let_out(3.0, 2.05) == pytest.approx(2.0)
-    assert gate.let_out(3.0, 2.2) == 3.0
-
-
-# --- guards of messages
-
-def judge(guard, *numbers, now=0.0, resync=False):
-    return guard.judge(numbers, now, resync)
-
-
-def test_each_kind_of_bad_message_has_its_name_and_is_counted():
-    guard = SequenceGuard()
-    assert judge(guard, 5.0, 1.0) is Verdict.TAKEN
-    expected = {(5.0, 1.0): Verdict.REPEATED, (5.0, 2.0): Verdict.CONFLICT,
-                (4.0, 1.0): Verdict.BACK, (5.5, 1.0): Verdict.BAD_SEQ,
-                (6.0, math.nan): Verdict.NOT_FINITE, (math.inf, 1.0): Verdict.NOT_FINITE,
-                (-1.0, 0.0): Verdict.BAD_SEQ, (2.0 ** 53, 0.0): Verdict.BAD_SEQ,
-                (6.0 + JUMP, 0.0): Verdict.JUMP}
-    for numbers, verdict in expected.items():
-        assert judge(guard, *numbers) is verdict, numbers
-    assert judge(guard, 9.0, 0.0) is Verdict.TAKEN
-    assert guard.skipped == 3
-    assert sum(guard.rejected().values()) == len(expected)
-    # Where a sender may have started anew any seq is right, but only a seq.
-    assert judge(guard, 0.0, 0.0, resync=True) is Verdict.TAKEN
-    assert judge(guard, math.nan, 0.0, resync=True) is Verdict.NOT_FINITE
-
-
-def test_two_senders_are_seen_by_their_numbers_duplicates_and_one_restart_are_not():
-    guard = SequenceGuard()
-    for k in range(3 * RIVALS):
-        judge(guard, 1000.0 + k, 0.0, now=k * T)
-        judge(guard, 1000.0 + k, 0.0, now=k * T)        # duplicated on the way
-    assert not guard.rivalry(3 * RIVALS * T)
-    for k in range(RIVALS):
-        judge(guard, 1100.0 + k, 0.0, now=1.0 + k * T)
-        judge(guard, 20.0 + k, 0.0, now=1.0 + k * T)
-    assert guard.rivalry(1.0 + RIVALS * T)
-    assert not guard.rivalry(5.0)
-    guard.forget_rivals()
-    assert not guard.rivalry(1.0 + RIVALS * T)
-
-
-def test_a_stamp_from_the_future_is_one_ahead_of_the_quickest_transport():
-    guard = FutureGuard()
-    assert not guard.ahead(100.0, 5.0, 0.015)
-    assert not guard.ahead(100.005, 5.001, 0.015)
-    assert guard.ahead(100.035, 5.010, 0.015)
-    assert not guard.ahead(100.035, 5.010, 0.0)         # off
-    guard.restart()
-    assert not guard.ahead(-3600.0, 5.2, 0.015)
 
 
 # --- the actuator's end
