@@ -23,14 +23,14 @@ setup(
     maintainer=maintainer.text,
     maintainer_email=maintainer.get('email'),
     packages=find_packages(include=[name, f'{name}.*']),
-    package_data={name: ['py.typed']},
+    package_data={name: ['py.typed', 'nodes/fastdds.xml']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
         (f'share/{name}', ['package.xml']),
         (f'share/{name}/config', files('config/*.yaml', 'config/*.csv')),
         (f'share/{name}/launch', files('launch/*.py')),
     ],
-    zip_safe=True,
+    zip_safe=False,
     python_requires='>=3.10',
     install_requires=[
         'matplotlib>=3.6',

@@ -8,6 +8,8 @@ line as well.
 from __future__ import annotations
 
 import importlib
+import os
+from pathlib import Path
 import signal
 import sys
 from types import FrameType
@@ -22,6 +24,8 @@ NODES = {'plant_node': 'PlantNode', 'controller_node': 'ControllerNode',
          'replay_node': 'ReplayNode', 'feed_node': 'FeedNode',
          'operator_node': 'OperatorNode'}
 """Executable → class in the module of the same name."""
+PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
+"""Environment variables that name a file of profiles for Fast DDS."""
 
 
 def run_node(name: str) -> int:
@@ -40,6 +44,8 @@ def run_node(name: str) -> int:
     # Whoever started this process may have held them back until now (`dz run` does).
     signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
     end_with_parent()
+    if not any(os.environ.get(name) for name in PROFILES):
+        os.environ[PROFILES[0]] = str(Path(__file__).with_name('fastdds.xml'))
     try:
         import rclpy
         from rclpy.logging import LoggingSeverity, set_logger_level
