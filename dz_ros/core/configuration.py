@@ -44,7 +44,7 @@ class LoopSettings:
                             choices=('realtime', 'lockstep'))
     duration: float = parameter(20.0, 's', 'length of a run; 0 = until stopped (a loop of nodes '
                                 'only)', minimum=0.0, structural=True)
-    seed: int = parameter(0, '1', 'seed of everything random', minimum=0, maximum=2 ** 53,
+    seed: int = parameter(0, '1', 'seed of everything random', minimum=0, maximum=2 ** 63 - 1,
                           structural=True)
     peers: tuple[str, ...] = parameter(
         ('plant_node', 'controller_node', 'trajectory_node'), '', 'names of the nodes that must '
