@@ -46,7 +46,10 @@ setup(
         # the pins pip takes another distribution's.
         'ros': ['ros-rclpy[fastrtps]==7.1.6', 'ros-common-interfaces==5.3.6'],
         'numba': ['numba>=0.61'],   # compiles loops off line; the numbers are the same
-        'test': ['hypothesis>=6.98', 'numba>=0.61', 'pytest>=7.4'],
+        'cluster': ['distributed>=2024.1'],     # dz sweep --cluster: many machines
+        'parquet': ['pyarrow>=14'],             # dz sweep --out FILE.parquet
+        'test': ['distributed>=2024.1', 'hypothesis>=6.98', 'numba>=0.61', 'pyarrow>=14',
+                 'pytest>=7.4'],
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [
             'catkin-pkg==1.1.1',

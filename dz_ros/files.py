@@ -52,11 +52,11 @@ def flat_parameters(path: Path | str | None, overrides: Sequence[str] = ()) -> d
     if path is not None:
         found = find_configuration(path)
         flat = _read_file(found)
-        _read_waypoints(flat, found.parent)
+        resolve_waypoints(flat, found.parent)
     typed: dict[str, Any] = {}
     for override in overrides:
         typed.update(_parse_override(override))
-    _read_waypoints(typed, Path())
+    resolve_waypoints(typed, Path())
     return {**flat, **typed}
 
 
@@ -201,7 +201,7 @@ def _parse_override(text: str) -> dict[str, Any]:
     return dict(_flatten({key: value}, '', Path('--set')))
 
 
-def _read_waypoints(flat: dict[str, Any], folder: Path) -> None:
+def resolve_waypoints(flat: dict[str, Any], folder: Path) -> None:
     """Replace ``trajectory.file`` by the times and positions the CSV holds."""
     name = flat.pop(WAYPOINTS, '')
     if name == '':

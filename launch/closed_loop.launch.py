@@ -21,35 +21,49 @@ PEERS = ['plant_node', 'controller_node', 'trajectory_node']
 
 def nodes(context):
     """Return the actions for the arguments given."""
-    config = LaunchConfiguration('config').perform(context)
+    config = configuration_file(LaunchConfiguration('config').perform(context))
     duration = LaunchConfiguration('duration').perform(context)
     record = LaunchConfiguration('record').perform(context)
     namespace = LaunchConfiguration('namespace').perform(context)
 
     settings = {'loop.peers': PEERS + (['recorder_node'] if record else [])}
     if duration:
-        settings['loop.duration'] = float(duration)
+        try:
+            settings['loop.duration'] = float(duration)
+        except ValueError:
+            raise RuntimeError(f'duration:={duration}: must be a number of seconds') from None
 
     def node(name, **extra):
         return Node(package='dz_ros', executable=name, name=name, namespace=namespace,
                     output='screen', parameters=[config, {**settings, **extra}])
 
-    plant = node('plant_node')
-    actions = [plant, node('controller_node'), node('trajectory_node')]
+    started = {name: node(name) for name in PEERS}
     if record:
-        actions.append(node('recorder_node', directory=str(Path(record).absolute())))
-    # The plant is the loop's clock: when it has ended, the run is over.
-    actions.append(RegisterEventHandler(OnProcessExit(
-        target_action=plant, on_exit=[EmitEvent(event=Shutdown(reason='the run is over'))])))
-    return actions
+        started['recorder_node'] = node('recorder_node', directory=str(Path(record).absolute()))
+    # The plant is the loop's clock: when it has ended, the run is over. When another node has
+    # ended before it, the loop is broken, and the rest must not go on without it.
+    return [*started.values(), *(
+        RegisterEventHandler(OnProcessExit(
+            target_action=action, on_exit=[EmitEvent(event=Shutdown(reason=f'{name} has ended'))]))
+        for name, action in started.items())]
+
+
+def configuration_file(config):
+    """Return the path of a configuration given by path or by the name of one that ships."""
+    shipped = Path(get_package_share_directory('dz_ros')) / 'config' / f'{config}.yaml'
+    if not Path(config).exists() and shipped.exists():
+        return str(shipped)
+    if not Path(config).is_file():
+        raise RuntimeError(f'config:={config}: no such file, and no configuration of that name')
+    return config
 
 
 def generate_launch_description():
     """Return the launch description."""
-    share = Path(get_package_share_directory('dz_ros'))
     return LaunchDescription([
-        DeclareLaunchArgument('config', default_value=str(share / 'config' / 'wang2004.yaml'),
-                              description='parameter file of the loop'),
+        DeclareLaunchArgument('config', default_value='robust',
+                              description='parameter file of the loop, or the name of one that '
+                                          'ships with dz_ros'),
         DeclareLaunchArgument('duration', default_value='',
                               description='length of the run [s]; 0 = until stopped; '
                                           'empty = as the parameter file says'),

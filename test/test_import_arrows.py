@@ -1,6 +1,7 @@
 """Who may import whom, read from the source; the picture is in docs/architecture.md.
 
-    errors ← core ← {drivers, recording, analysis, files} ← {nodes, cli};  runtime: stdlib only
+    errors ← core ← {drivers, recording, analysis ← studies, files} ← {nodes, cli};
+    runtime: stdlib only; studies is for cli alone
 """
 
 import ast
@@ -27,13 +28,15 @@ ARROWS = {
     'drivers': LEAVES | {'core'},
     'recording': LEAVES | READERS | {'core'},
     'analysis': LEAVES | {'core'},
+    'studies': LEAVES | {'core', 'analysis'},
     'runtime': LEAVES,
     'nodes': LEAVES | READERS | {'core', 'drivers', 'recording', 'runtime'},
-    'cli': LEAVES | READERS | {'core', 'drivers', 'recording', 'analysis', 'runtime'},
+    'cli': LEAVES | READERS | {'core', 'drivers', 'recording', 'analysis', 'studies', 'runtime'},
 }
 ROS = {'rclpy', 'std_msgs', 'std_srvs', 'rcl_interfaces', 'rosgraph_msgs', 'builtin_interfaces',
        'diagnostic_msgs', 'lifecycle_msgs', 'launch', 'launch_ros', 'ament_index_python'}
-SLOW = {'matplotlib', 'scipy', 'rosbags', 'numba', 'pandas'}  # only inside functions
+SLOW = {'matplotlib', 'scipy', 'rosbags', 'numba', 'pandas', 'pyarrow', 'dask',
+        'distributed'}  # only inside functions
 OUTSIDE_WORLD = {'asyncio', 'ctypes', 'datetime', 'io', 'logging', 'multiprocessing', 'os',
                  'pathlib', 'select', 'shutil', 'signal', 'socket', 'subprocess', 'tempfile',
                  'threading', 'time'}
@@ -113,6 +116,9 @@ def test_arrows(path):
     ('cli', 'def f():\n    from dz_ros.nodes import base'),
     ('cli', 'import rclpy'),
     ('nodes', 'from dz_ros.cli.main import main'),
+    ('studies', 'from dz_ros.recording.reader import read_run'),
+    ('analysis', 'from dz_ros.studies import arena'),
+    ('nodes', 'from dz_ros.studies import arena'),
     ('runtime', 'import numpy'),
     ('runtime', 'from dz_ros.core import loop'),
     ('errors', 'import dz_ros.core'),

@@ -42,8 +42,8 @@ IMPORTED = {
     'zstandard': ('zstandard', 'mcap-ros2-support'),
 }
 """Module → distribution that brings it by pip, key that brings it by rosdep."""
-OPTIONAL = {'numba'}
-"""Modules that an extra of the same name brings; nothing needs them."""
+OPTIONAL = {'numba': 'numba', 'dask': 'cluster', 'distributed': 'cluster', 'pyarrow': 'parquet'}
+"""Module → extra that brings it; nothing needs them."""
 
 pytestmark = pytest.mark.skipif(not (ROOT / 'package.xml').is_file(),
                                 reason='needs the source tree')
@@ -122,9 +122,9 @@ def test_what_the_code_imports_is_declared_for_pip_and_for_rosdep(manifest, desc
             elif isinstance(node, ast.ImportFrom):
                 used.add(node.module.split('.')[0])
     used -= set(sys.stdlib_module_names) | {'dz_ros'}
-    for module in OPTIONAL & used:
-        assert module in described['extras_require']
-    used -= OPTIONAL
+    for module in set(OPTIONAL) & used:
+        assert OPTIONAL[module] in described['extras_require']
+    used -= set(OPTIONAL)
     assert used <= set(IMPORTED)
     keys = {item.text for item in manifest.findall('exec_depend')}
     by_pip = {re.split(r'[\[<>=]', text)[0]

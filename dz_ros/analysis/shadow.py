@@ -1,8 +1,8 @@
 """How the answers of a controller differ from those recorded, sample by sample (ours).
 
 Answers are matched by echo_seq, the state they answer; of answers to the same state the first
-counts. Two numbers are the same if they are equal or both NaN. Times of transport, and seq, which
-counts what was published, are no part of an answer.
+counts. Two numbers are the same if they are equal or both NaN. Times of transport, and the seq of
+what was published, the reference's among them, are no part of an answer.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dz_ros.errors import RecordingError
 
 Integers = NDArray[np.int64]
 
-_NO_PART = ('seq', 'stamp', 'echo_seq', 'echo_stamp', 'hold')
+_NO_PART = ('seq', 'stamp', 'echo_seq', 'echo_stamp', 'hold', 'reference_seq')
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """``dz``: finds the verb, loads it alone, turns errors into one line and an exit code.
 
-Exit codes: 0 done; 1 something failed while running; 2 a mistake in what was asked for;
-130 interrupted (Ctrl-C); 141 nobody reads the output any more.
+Exit codes: 0 done; 1 something failed while running, or a check found an error; 2 a mistake in
+what was asked for; 130 interrupted (Ctrl-C); 141 nobody reads the output any more.
 """
 
 from __future__ import annotations
@@ -41,6 +41,10 @@ VERBS = {
     ('estop',): Verb('estop', 'stop a loop: the safe command at both ends, until reset'),
     ('reset',): Verb('reset', 'release e-stop and faults of a loop, the actuator first'),
     ('simulate',): Verb('simulate', 'run the loop off line, as fast as the machine goes'),
+    ('check',): Verb('check', 'say what a configuration promises and what it does not'),
+    ('arena',): Verb('arena', 'compare every law in every scenario'),
+    ('sweep',): Verb('sweep', 'run thousands of loops over keys of a configuration; draw them'),
+    ('tune',): Verb('tune', 'propose gains from bounds, rate, delay and effort'),
     ('report',): Verb('report', "make a run's report: figures, timing, table of metrics"),
     ('list',): Verb('listing', 'list plants, laws, trajectories or configurations'),
     ('bag', 'info'): Verb('bag_info', 'say what a recorded run holds'),

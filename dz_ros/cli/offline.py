@@ -33,6 +33,10 @@ def simulate_offline(configuration: Configuration,
                                  f'{configuration.loop.period:g} s')
     try:
         run = simulate(configuration, memory=memory)
+    except MemoryError:
+        raise ConfigurationError('loop.duration', configuration.loop.duration, 'this machine has '
+                                 f'no room for {configuration.loop.samples} samples: must be '
+                                 'shorter') from None
     except (OverflowError, ValueError) as error:
         if isinstance(error, ConfigurationError):
             raise

@@ -16,7 +16,10 @@ from typing import Any
 import yaml
 
 from dz_ros.errors import MissingDependencyError, NO_RCLPY
+from dz_ros.runtime.process import PARENT
 
+ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end a verb in order; the last one is a terminal that was closed."""
 GRACE = 10.0
 """A node that has not ended this long after being told is killed [s]."""
 _POLL = 0.02
@@ -30,6 +33,33 @@ def check_rclpy() -> None:
     """
     if find_spec('rclpy') is None:
         raise MissingDependencyError(NO_RCLPY)
+
+
+def start_node(name: str, arguments: Sequence[str], **streams: Any) -> subprocess.Popen[Any]:
+    """Start a node in a session of its own, so that Ctrl-C reaches this process alone.
+
+    Signals wait until the node can take them; the node ends when this process ends, however it
+    ends; the folder in which the user happens to be is none of its Python path.
+
+    Args:
+        name: Executable of the node.
+        arguments: Its command line.
+        **streams: Standard streams and their encoding, as of `subprocess.Popen`.
+    """
+    home = str(Path(__file__).resolve().parents[2])
+    paths = os.environ.get('PYTHONPATH', '').split(os.pathsep)
+    if home not in (*sys.path[1:], *paths):
+        paths.insert(0, home)
+    environment = {
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ, PARENT: str(os.getpid()),
+        'PYTHONSAFEPATH': '1', 'PYTHONPATH': os.pathsep.join(path for path in paths if path)}
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
+    try:
+        return subprocess.Popen([sys.executable, '-m', 'dz_ros.nodes.main', name, *arguments],
+                                env=environment, stdin=subprocess.DEVNULL,
+                                start_new_session=True, **streams)
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
 def write_node_parameters(path: Path, parameters: Mapping[str, Any]) -> None:
@@ -53,7 +83,7 @@ class Nodes:
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Nodes:
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in ENDS:
             self._previous[number] = signal.signal(number, self._interrupt)
         return self
 
@@ -66,11 +96,8 @@ class Nodes:
 
     def start(self, name: str, arguments: Sequence[str]) -> None:
         """Start a node with its ROS arguments, in a session of its own."""
-        environment = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ}
-        self._processes[name] = subprocess.Popen(
-            [sys.executable, '-m', 'dz_ros.nodes.main', name, '--ros-args', *arguments],
-            env=environment, stdin=subprocess.DEVNULL, stdout=sys.stderr.fileno(),
-            start_new_session=True)
+        self._processes[name] = start_node(name, ['--ros-args', *arguments],
+                                           stdout=sys.stderr.fileno())
 
     def wait(self, name: str) -> int:
         """Wait until a node ends and return its exit code.

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from importlib.util import find_spec
 import json
-import os
 from pathlib import Path
 import signal
 import subprocess
@@ -16,21 +14,20 @@ import threading
 import time
 
 from dz_ros.cli.options import add_configuration, read_configuration
-from dz_ros.core.configuration import Configuration
-from dz_ros.errors import (
-    ConfigurationError,
-    LoopError,
-    MissingDependencyError,
-    NO_RCLPY,
-    RunExistsError,
+from dz_ros.cli.processes import (
+    check_rclpy,
+    ENDS,
+    GRACE,
+    start_node,
+    write_node_parameters,
 )
+from dz_ros.core.configuration import Configuration
+from dz_ros.errors import ConfigurationError, LoopError, RunExistsError
 from dz_ros.files import write_parameters
 from dz_ros.runtime.claim import claim, ClaimedError, domain, domain_topic
 
 ORDER = (('plant_node',), ('trajectory_node', 'controller_node'), ('recorder_node',))
 """The order in which nodes are ended: whoever drives the loop first, whoever records it last."""
-GRACE = 10.0
-"""A node that has not ended this long after being told is killed [s]."""
 START_LIMIT = 60.0
 """The loop must have its first sample within this time [s]."""
 
@@ -59,22 +56,12 @@ def run(arguments: argparse.Namespace) -> int:
                                  'overwritten: choose another directory')
         peers = tuple(dict.fromkeys((*configuration.loop.peers, 'recorder_node')))
         configuration = configuration.replace(**{'loop.peers': peers})
-    _check_rclpy()
+    check_rclpy()
     _check_free(arguments.namespace)
     with tempfile.TemporaryDirectory(prefix='dz_ros-') as folder:
         parameters = Path(folder) / 'parameters.yaml'
         write_parameters(configuration, parameters)
         return _Loop(configuration, parameters, arguments).run()
-
-
-def _check_rclpy() -> None:
-    """Find out whether nodes could start at all.
-
-    Raises:
-        MissingDependencyError: rclpy is not installed.
-    """
-    if find_spec('rclpy') is None:
-        raise MissingDependencyError(NO_RCLPY)
 
 
 def _check_free(namespace: str) -> None:
@@ -85,7 +72,7 @@ def _check_free(namespace: str) -> None:
         LoopError: Another one does, or there is no such domain.
     """
     name = namespace.strip('/')
-    if namespace and not all(part.isidentifier() for part in name.split('/')):
+    if name and not all(part.isidentifier() and part.isascii() for part in name.split('/')):
         raise ConfigurationError('--namespace', namespace,
                                  'must be names of letters, digits and _ separated by /')
     topic = f'/{name}/state' if name else '/state'
@@ -118,18 +105,21 @@ class _Loop:
         self._failed: dict[str, int] = {}
         self._readers: list[threading.Thread] = []
         common = ['--ros-args', '--params-file', str(parameters)]
-        if arguments.namespace:
+        if arguments.namespace.strip('/'):
             common += ['-r', f'__ns:=/{arguments.namespace.strip("/")}']
         self._arguments = {
             'plant_node': common, 'trajectory_node': common,
             'controller_node': [*common, '-p', f'progress_rate:={2.0 if self._quiet else 5.0}']}
         if arguments.record is not None:
-            self._arguments['recorder_node'] = [*common, '-p', f'directory:={arguments.record}']
+            # In a file, because on a command line YAML decides what a name such as 20261122 is.
+            directory = parameters.with_name('directory.yaml')
+            write_node_parameters(directory, {'directory': str(arguments.record)})
+            self._arguments['recorder_node'] = [*common, '--params-file', str(directory)]
 
     def run(self) -> int:
         """Start everything, wait for the plant, end everything in order."""
         previous = {number: signal.signal(number, self._interrupt)
-                    for number in (signal.SIGINT, signal.SIGTERM)}
+                    for number in ENDS}
         try:
             for name, arguments in self._arguments.items():
                 self._start(name, arguments)
@@ -147,12 +137,9 @@ class _Loop:
         return 130 if self._interrupted and self._configuration.loop.duration else 0
 
     def _start(self, name: str, arguments: Sequence[str]) -> None:
-        """Start one node in a session of its own, so that Ctrl-C reaches this process alone."""
-        environment = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ}
-        process = subprocess.Popen(
-            [sys.executable, '-m', 'dz_ros.nodes.main', name, *arguments], env=environment,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-            text=True, errors='replace', start_new_session=True)
+        """Start one node and read what it says."""
+        process = start_node(name, arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                             text=True, errors='replace')
         self._processes[name] = process
         reader = threading.Thread(target=self._read, args=(process,), daemon=True)
         reader.start()
@@ -227,7 +214,7 @@ class _Loop:
                 except subprocess.TimeoutExpired:
                     process.kill()
                     code = process.wait()
-                if code != 0:
+                if code not in (0, -signal.SIGINT):
                     self._failed.setdefault(name, code)
         for reader in self._readers:
             reader.join(1.0)

@@ -17,7 +17,7 @@ from dz_ros.cli.options import add_configuration, read_configuration
 from dz_ros.cli.table import format_table, metric_rows, window_title
 from dz_ros.core.dataset import from_run
 from dz_ros.core.loop import Run
-from dz_ros.errors import RunExistsError
+from dz_ros.errors import ConfigurationError, RunExistsError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,17 +40,19 @@ def run(arguments: argparse.Namespace) -> int:
         _require_folder(csv)
     if arguments.record is not None:
         _refuse_existing(arguments.record, 'directory')
+        if csv is not None and csv.resolve() == arguments.record.resolve():
+            raise ConfigurationError('--csv', str(csv), 'must not be the directory of --record')
     done = simulate_offline(configuration)
     data = from_run(done, time.time_ns())
+    if arguments.record is not None:
+        from dz_ros.recording.save import save_run
+
+        save_run(data, arguments.record)
     if csv is not None:
         with csv.open('x', encoding='ascii', newline='') as file:
             write_csv(done, file)
     if to_stdout:
         write_csv(done, sys.stdout)
-    if arguments.record is not None:
-        from dz_ros.recording.save import save_run
-
-        save_run(data, arguments.record)
     view = View.of(data)
     print(format_table(window_title(view), metric_rows(view)),
           file=sys.stderr if to_stdout else sys.stdout)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+import math
 from typing import Any
 
 from dz_ros.core import schema
@@ -43,11 +44,22 @@ class LoopSettings:
                             choices=('realtime', 'lockstep'))
     duration: float = parameter(20.0, 's', 'length of a run; 0 = until stopped (a loop of nodes '
                                 'only)', minimum=0.0, structural=True)
-    seed: int = parameter(0, '1', 'seed of everything random', minimum=0, structural=True)
+    seed: int = parameter(0, '1', 'seed of everything random', minimum=0, maximum=2 ** 53,
+                          structural=True)
     peers: tuple[str, ...] = parameter(
         ('plant_node', 'controller_node', 'trajectory_node'), '', 'names of the nodes that must '
         'be there before the first sample; add recorder_node to have it recorded',
         structural=True)
+
+    def check(self, prefix: str) -> None:
+        """Check that a run has a sample after the first.
+
+        Raises:
+            ConfigurationError: It has not.
+        """
+        if self.duration > 0.0 and self.samples < 1:
+            raise ConfigurationError(f'{prefix}duration', self.duration, 'must be 0 (until '
+                                     f'stopped) or at least one period, {self.period:g} s')
 
     @property
     def period(self) -> float:
@@ -75,6 +87,20 @@ class PlantSettings:
         'for all', minimum=0.0, structural=True)
     command_limit: float = parameter(0.0, 'actuator unit', 'the actuator clips |v| to this; '
                                      '0 = no limit', minimum=0.0, structural=True)
+    kick: tuple[float, ...] = parameter(
+        (0.0, 0.0, 0.0), '', '[instant in s, acceleration in unit of x^(n), duration in s] of a '
+        'push on the plant, over the samples that begin within it; acceleration 0 = none',
+        length=3, structural=True)
+
+    def check(self, prefix: str) -> None:
+        """Check that the kick is in the loop's time.
+
+        Raises:
+            ConfigurationError: Its instant or duration is negative.
+        """
+        if self.kick[0] < 0.0 or self.kick[2] < 0.0:
+            raise ConfigurationError(f'{prefix}kick', list(self.kick),
+                                     'instant and duration must not be negative')
 
 
 @dataclass(frozen=True)
@@ -92,6 +118,8 @@ class ControllerSettings:
     b_bounds: tuple[float, ...] = parameter((1.0, 1.0), 'input gain unit',
                                             'known bounds of the input gain b', length=2,
                                             minimum=0.0, open_minimum=True)
+    override_checks: bool = parameter(False, '', 'start the controller even where a design rule '
+                                      'finds an error', structural=True)
 
     def check(self, prefix: str) -> None:
         """Check that lower bounds lie below upper ones.
@@ -153,6 +181,14 @@ class Configuration:
     x0: tuple[float, ...]
     noise: tuple[float, ...]
     set_aside: tuple[str, ...] = field(default=())
+
+    @property
+    def kick_samples(self) -> tuple[int, int, float]:
+        """First sample of the kick, first one after it, its acceleration [unit of x^(n)]."""
+        instant, acceleration, duration = self.plant_settings.kick
+        first, after = (math.ceil(round(end * self.loop.rate, 6))
+                        for end in (instant, instant + duration))
+        return (first, after, acceleration) if acceleration != 0.0 else (0, 0, 0.0)
 
     @classmethod
     def from_flat(cls, flat: Mapping[str, Any]) -> Configuration:

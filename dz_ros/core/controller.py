@@ -101,8 +101,9 @@ class Controller:
         return bool(self._references)
 
     def has_reference_for(self, state: State) -> bool:
-        """Whether the reference meant for this very state has arrived."""
-        return any(abs(item.stamp - state.stamp) < SNAP for item in self._references)
+        """Whether the reference meant for this very state, by seq or stamp, has arrived."""
+        return any(item.seq == state.seq or abs(item.stamp - state.stamp) < SNAP
+                   for item in self._references)
 
     def respond(self, state: State) -> tuple[Command, Terms] | None:
         """Return command and terms for a state; None where it must not be answered.

@@ -27,11 +27,11 @@ def identity(function: Any) -> Any:
 
 def make_advance(regressors: Callable[..., None], disturbance: Callable[..., float],
                  jit: Callable[[Any], Any] = identity) -> Advance:
-    """Return ``advance(x, v, t, h, steps, p, z, y, k1, k2, k3, k4, stage)`` for a plant.
+    """Return ``advance(x, v, t, h, steps, p, z, y, k1, k2, k3, k4, stage, push)`` for a plant.
 
     It moves ``x`` (shape (n,), in place) from t to t + steps·h with v held. ``p`` are the plant's
     constants (b, a_1…a_r, …), ``z`` those of the dead-zone; ``y``, shape (r,), and the rest, shape
-    (n,), are buffers.
+    (n,), are buffers. ``push`` is an acceleration [unit of x^(n)] added all the while.
 
     Args:
         regressors: ``(x, p, y)`` writes Y(x).
@@ -42,18 +42,21 @@ def make_advance(regressors: Callable[..., None], disturbance: Callable[..., flo
     regressors = jit(regressors)
     disturbance = jit(disturbance)
 
-    def acceleration(x: Buffer, v: float, t: float, p: Numbers, z: Numbers, y: Buffer) -> float:
+    def acceleration(x: Buffer, v: float, t: float, p: Numbers, z: Numbers, y: Buffer,
+                     push: float) -> float:
         regressors(x, p, y)
         total: float = p[0] * zone(v, t, z) - disturbance(t, x, p)
         for i in range(len(y)):
             total -= p[1 + i] * y[i]
+        if push != 0.0:
+            total += push
         return total
 
     acceleration = jit(acceleration)
 
     def advance(x: Buffer, v: float, t: float, h: float, steps: int, p: Numbers, z: Numbers,
                 y: Buffer, k1: Buffer, k2: Buffer, k3: Buffer, k4: Buffer,
-                stage: Buffer) -> None:
+                stage: Buffer, push: float = 0.0) -> None:
         last = len(x) - 1
         half = 0.5 * h
         sixth = h / 6.0
@@ -61,22 +64,22 @@ def make_advance(regressors: Callable[..., None], disturbance: Callable[..., flo
             now = t + step * h
             for i in range(last):
                 k1[i] = x[i + 1]
-            k1[last] = acceleration(x, v, now, p, z, y)
+            k1[last] = acceleration(x, v, now, p, z, y, push)
             for i in range(last + 1):
                 stage[i] = x[i] + half * k1[i]
             for i in range(last):
                 k2[i] = stage[i + 1]
-            k2[last] = acceleration(stage, v, now + half, p, z, y)
+            k2[last] = acceleration(stage, v, now + half, p, z, y, push)
             for i in range(last + 1):
                 stage[i] = x[i] + half * k2[i]
             for i in range(last):
                 k3[i] = stage[i + 1]
-            k3[last] = acceleration(stage, v, now + half, p, z, y)
+            k3[last] = acceleration(stage, v, now + half, p, z, y, push)
             for i in range(last + 1):
                 stage[i] = x[i] + h * k3[i]
             for i in range(last):
                 k4[i] = stage[i + 1]
-            k4[last] = acceleration(stage, v, now + h, p, z, y)
+            k4[last] = acceleration(stage, v, now + h, p, z, y, push)
             for i in range(last + 1):
                 x[i] += sixth * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
 

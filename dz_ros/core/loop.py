@@ -2,7 +2,8 @@
 
 At t_k = k T: measure x(t_k) (plus noise); v_k from the law with the memory of sample k; Euler step
 of the estimates; the actuator holds v_{k−delay}, clipped to its limit (0 before the first
-command), over [t_k, t_{k+1}] while the plant is integrated in continuous time.
+command), over [t_k, t_{k+1}] while the plant is integrated in continuous time. A kick, where one
+is configured, pushes the plant over whole samples; in `truth` it counts as disturbance.
 
 `simulate` is plain scalar Python: one source for the loop off line and the pieces the nodes run.
 """
@@ -80,12 +81,12 @@ def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity
     zone = jit(dead_zone)
     rest = jit(residual)
 
-    def loop(last: int, period: float, substeps: int, delay: int, limit: float, plant: Numbers,
-             zone_numbers: Numbers, motion: Numbers, gains: Numbers, x: Buffer, y: Buffer,
-             x_d: Buffer, memory: Buffer, new_memory: Buffer, terms: Buffer, measured: Buffer,
-             k1: Buffer, k2: Buffer, k3: Buffer, k4: Buffer, stage: Buffer,
-             noise: Buffer, out_x: Buffer, out_measured: Buffer, out_x_d: Buffer, out_v: Buffer,
-             out_applied: Buffer, out_truth: Buffer, out_terms: Buffer) -> None:
+    def loop(last: int, period: float, substeps: int, delay: int, limit: float, kick_from: int,
+             kick_to: int, kick: float, plant: Numbers, zone_numbers: Numbers, motion: Numbers,
+             gains: Numbers, x: Buffer, y: Buffer, x_d: Buffer, memory: Buffer, new_memory: Buffer,
+             terms: Buffer, measured: Buffer, k1: Buffer, k2: Buffer, k3: Buffer, k4: Buffer,
+             stage: Buffer, noise: Buffer, out_x: Buffer, out_measured: Buffer, out_x_d: Buffer,
+             out_v: Buffer, out_applied: Buffer, out_truth: Buffer, out_terms: Buffer) -> None:
         n = len(x)
         width = len(terms)
         h = period / substeps
@@ -112,9 +113,11 @@ def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity
             out_applied[k] = held
             out_truth[3 * k] = w
             out_truth[3 * k + 1] = rest(held, w, t, zone_numbers)
-            out_truth[3 * k + 2] = disturbance(t, x, plant)
+            push = kick if kick_from <= k < kick_to else 0.0
+            out_truth[3 * k + 2] = disturbance(t, x, plant) - push
             if k < last:
-                advance(x, held, t, h, substeps, plant, zone_numbers, y, k1, k2, k3, k4, stage)
+                advance(x, held, t, h, substeps, plant, zone_numbers, y, k1, k2, k3, k4, stage,
+                        push)
 
     function: Loop = jit(loop)
     return function
@@ -159,7 +162,7 @@ def simulate(configuration: Configuration, loop: Loop | None = None,
         loop = make_loop(c)
         arguments = [item.tolist() for item in arguments]
     loop(c.loop.samples, c.loop.period, c.plant_settings.substeps, c.loop.delay,
-         c.plant_settings.command_limit, *arguments)
+         c.plant_settings.command_limit, *c.kick_samples, *arguments)
     arrays: list[Array] = [np.arange(count, dtype=np.float64) * c.loop.period]
     for item, wide in zip(arguments[-len(columns):], columns, strict=True):
         array = np.asarray(item, dtype=float)

@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping
 import dataclasses
 from dataclasses import dataclass
 import difflib
+from functools import cache
 import math
 from typing import Any, get_type_hints, TypeVar
 
@@ -90,6 +91,13 @@ _WORDS = {'float': 'a finite number', 'int': 'an integer', 'bool': 'true or fals
 
 def fields(group: type) -> tuple[Field, ...]:
     """Return the parameters of a group in order of declaration."""
+    hashable: Any = group
+    return _declared(hashable)
+
+
+@cache
+def _declared(group: Any) -> tuple[Field, ...]:
+    """Return what `fields` does, found out once."""
     hints = get_type_hints(group)
     found = []
     for item in dataclasses.fields(group):

@@ -14,7 +14,7 @@ import math
 import numpy as np
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop import Run, simulate
 
 
 def is_lost(configuration: Configuration) -> bool:
@@ -27,6 +27,11 @@ def is_lost(configuration: Configuration) -> bool:
         run = simulate(configuration)
     except (OverflowError, ValueError):   # math.sin(inf) and the like
         return True
+    return run_is_lost(run)
+
+
+def run_is_lost(run: Run) -> bool:
+    """Return whether a run ends up not following its reference at all, as `is_lost` says."""
     desired = run.x_d[:, :-1]
     error = np.abs(run.x - desired)
     if not np.isfinite(error).all():

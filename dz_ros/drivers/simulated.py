@@ -44,6 +44,7 @@ class SimulatedActuator:
         self._substeps = c.plant_settings.substeps
         self._delay = c.loop.delay
         self._limit = c.plant_settings.command_limit
+        self._kick = c.kick_samples
         self._plant = c.plant.constants
         self._zone = c.dead_zone.constants
         self._disturbance = c.plant.disturbance
@@ -62,7 +63,11 @@ class SimulatedActuator:
         """Take a command that arrives at loop time t [s]; it acts `loop.delay` samples later."""
         if self._limit > 0.0:
             v = min(max(v, -self._limit), self._limit)
-        at = t if self._delay == 0 else (round(t / self._period) + self._delay) * self._period
+        sample = round(t / self._period)
+        if self._delay == 0 or abs(t - sample * self._period) > SNAP:
+            at = t + self._delay * self._period
+        else:
+            at = (sample + self._delay) * self._period
         self._pending.append((at, v))
 
     def measure(self) -> tuple[float, ...]:
@@ -83,7 +88,7 @@ class SimulatedActuator:
             LoopError: The plant has diverged.
         """
         stamp = self.t
-        disturbance = self._disturbance(stamp, self.x, self._plant)
+        disturbance = self._disturbance(stamp, self.x, self._plant) - self._push()
         while self._pending and (self._pending[0][0] < t - SNAP
                                  or self._pending[0][0] <= stamp + SNAP):
             at, v = self._pending.popleft()
@@ -104,10 +109,15 @@ class SimulatedActuator:
             h = span / steps
         try:
             self._advance(self.x, self.held, self.t, h, steps, self._plant, self._zone,
-                          *self._work)
+                          *self._work, self._push())
         except (ArithmeticError, ValueError):
             self.x = [math.nan] * len(self.x)
         if not all(map(math.isfinite, self.x)):
             raise LoopError(f'the simulated plant diverged at t = {self.t:g} s, beyond what '
                             'numbers can hold')
         self.t = t
+
+    def _push(self) -> float:
+        """Return what the kick adds to x^(n) in the present sample."""
+        first, after, acceleration = self._kick
+        return acceleration if first <= int(self.t / self._period + SNAP) < after else 0.0

@@ -154,7 +154,8 @@ class LoopNode(Node):
             wanted = [name for name in topics.LISTENERS[topic]
                       if name in self.configuration.loop.peers and name != self.get_name()]
             if publisher.get_subscription_count() < len(wanted):
-                found.append(f'{len(wanted)} listeners on {publisher.topic_name}')
+                found.append(f'{", ".join(wanted)} to listen to {publisher.topic_name} '
+                             '(loop.peers says who is waited for)')
                 continue
             there = {info.node_name
                      for info in self.get_subscriptions_info_by_topic(publisher.topic_name)}

@@ -20,6 +20,7 @@ from dz_ros.errors import LoopError
 from dz_ros.nodes.base import SPIN_LIMIT
 from dz_ros.nodes.guarded import GuardedNode
 from dz_ros.nodes.progress import Progress
+from dz_ros.nodes.start_checks import refuse_bad_design
 
 GONE_NS = 5_000_000_000
 """In lockstep, a reference that does not come within this means that its sender is gone [ns]."""
@@ -32,6 +33,7 @@ class ControllerNode(GuardedNode):
 
     def __init__(self) -> None:
         super().__init__('controller_node', 'loop', 'structure', 'controller', 'safety')
+        refuse_bad_design(self, self.configuration)
         self._guard = ControllerGuard(self.configuration, self.changed, self._begins)
         self._order = self.configuration.plant.order
         self._pace = Pace(self.configuration.loop.period)

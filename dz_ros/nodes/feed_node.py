@@ -74,7 +74,7 @@ class FeedNode(LoopNode):
         self.get_logger().info(f'{self._exchanges.count} samples fed')
         if self._exchanges.carried:
             self.get_logger().info(f'{self._exchanges.carried} references brought to the stamp of '
-                                   'a state they were not meant for, as was done then')
+                                   'a state, as was done then')
         if self._exchanges.missing:
             self.get_logger().warning(f'{self._exchanges.missing} samples could not be fed: their '
                                       'state or reference is not in the run')

@@ -15,7 +15,7 @@ from typing import Any
 
 from dz_ros.errors import DzRosError, NO_RCLPY
 from dz_ros.runtime.claim import domain
-from dz_ros.runtime.process import settle
+from dz_ros.runtime.process import end_with_parent, settle
 
 NODES = {'plant_node': 'PlantNode', 'controller_node': 'ControllerNode',
          'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode',
@@ -26,6 +26,20 @@ NODES = {'plant_node': 'PlantNode', 'controller_node': 'ControllerNode',
 
 def run_node(name: str) -> int:
     """Run one node until it is done or told to end; return the exit code."""
+    node: Any = None
+    told = False
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        nonlocal told
+        told = True
+        if node is not None:
+            node.stopping = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
+    # Whoever started this process may have held them back until now (`dz run` does).
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM, signal.SIGHUP))
+    end_with_parent()
     try:
         import rclpy
         from rclpy.logging import LoggingSeverity, set_logger_level
@@ -43,17 +57,6 @@ def run_node(name: str) -> int:
         set_logger_level('rcl', LoggingSeverity.UNSET)
     except Exception as error:  # noqa: BLE001  rclpy raises its own kinds for bad arguments
         return _complain(name, _first_line(error))
-    node = None
-    told = False
-
-    def end(_number: int, _frame: FrameType | None) -> None:
-        nonlocal told
-        told = True
-        if node is not None:
-            node.stopping = True
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, end)
     code = 0
     try:
         module = importlib.import_module(f'dz_ros.nodes.{name}')

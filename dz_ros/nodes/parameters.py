@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Container, Mapping
 from dataclasses import dataclass
 import math
+from pathlib import Path
 import sys
 from typing import Any
 
@@ -19,6 +20,7 @@ from rclpy.parameter import Parameter
 
 from dz_ros.core.configuration import Configuration, SECTIONS
 from dz_ros.core.schema import Field, fields, parameter
+from dz_ros.files import resolve_waypoints
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,9 @@ def configure(node: Node, *sections: str) -> Configuration:
     Raises:
         ConfigurationError: A key nobody knows or a value that is not allowed.
     """
-    c = Configuration.from_flat(overrides(node, SECTIONS))
+    flat = overrides(node, SECTIONS)
+    resolve_waypoints(flat, Path())     # relative to where the node was started
+    c = Configuration.from_flat(flat)
     groups = {
         'loop': (('loop', c.loop),),
         'safety': (('safety', c.safety),),

@@ -7,6 +7,7 @@ except that the loop's first sample waits for it when `loop.peers` names it.
 
 from __future__ import annotations
 
+from dataclasses import replace
 import json
 from pathlib import Path
 import time
@@ -64,7 +65,10 @@ class RecorderNode(LoopNode):
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         for name, channel in CHANNELS.items():
             topic = self.resolve_topic_name(name)
-            self._writer.add_topic(topic, channel.type.name, channel.qos)
+            qos = channel.qos
+            if self.lockstep and name != 'events':      # what topics.LOCKSTEP offers
+                qos = replace(qos, history='keep_all', depth=0)
+            self._writer.add_topic(topic, channel.type.name, qos)
             self._taker.subscribe(topics.TYPES[name], topic,
                                   topics.everything(name, self.lockstep),
                                   self._storer(name, topic))

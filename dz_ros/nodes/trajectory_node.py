@@ -66,8 +66,10 @@ class TrajectoryNode(ManagedNode):
         if not self.active or verdict not in (Verdict.TAKEN, Verdict.REPEATED):
             return
         state = State.from_numbers(numbers)
-        if state.seq + 1 == self._sent or abs(state.stamp) > LAST:
+        if abs(state.stamp) > LAST:
             return
+        if state.seq + 1 == self._sent:     # asked again: what was sent may not have arrived
+            self._sent = state.seq - 1
         sample = round(state.stamp / self._period)
         first = self._sent + 1 if 0 <= state.seq - self._sent < CATCH_UP else state.seq
         for seq in range(first, state.seq + 2):

@@ -37,16 +37,18 @@ class Qos:
         depth: Messages kept for a slow reliable reader.
         durability: ``volatile``, or ``transient_local``: late readers get the last `depth`.
         reliability: ``reliable`` or ``best_effort``.
+        history: ``keep_last`` or ``keep_all``.
     """
 
     depth: int = 1000
     durability: str = 'volatile'
     reliability: str = 'reliable'
+    history: str = 'keep_last'
 
     def to_dict(self) -> dict[str, Any]:
         """Return the profile as rosbag2 writes it into metadata.yaml (no deadline, no lease)."""
         infinite = {'sec': 9223372036, 'nsec': 854775807}
-        return {'history': 'keep_last', 'depth': self.depth, 'reliability': self.reliability,
+        return {'history': self.history, 'depth': self.depth, 'reliability': self.reliability,
                 'durability': self.durability, 'deadline': dict(infinite),
                 'lifespan': dict(infinite), 'liveliness': 'automatic',
                 'liveliness_lease_duration': dict(infinite),

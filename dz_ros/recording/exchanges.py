@@ -2,8 +2,9 @@
 
 The terms of each command name both. Fed in this order to a controller that waits for its
 reference, the same law meets the same numbers again, however the messages overtook each other on
-their way into the log. A reference that was used at another stamp than its own is brought there
-as the controller did. Without terms in the run, commands name the states, and the reference is
+their way into the log. A reference that was used for another state than it was meant for keeps its
+stamp, so that the controller brings it on, and freezes, as it did; its seq becomes that state's.
+Without terms in the run, commands name the states, and the reference is
 the one of the state's stamp.
 
 The run is streamed; the three messages of a sample must lie within `WINDOW` answers.
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from dz_ros.core.controller import SNAP
@@ -32,7 +34,7 @@ _NEEDED = {'state': {'echo_stamp', 'round_trip'}, 'reference': {'xd0'},
 
 
 class Exchange(NamedTuple):
-    """One sample: the state that was answered and the reference used."""
+    """One sample: the state that was answered, and the reference used, with the state's seq."""
 
     state: State
     reference: Reference
@@ -146,7 +148,7 @@ class Exchanges:
         return codec.decode(payload)
 
     def _find(self, seq: int, reference_seq: int) -> Exchange | None:
-        """Return the sample, with its reference at the state's stamp; None where one lacks."""
+        """Return the sample, its reference as meant for this state; None where one lacks."""
         state = self._states.get(seq)
         if state is None:
             return None
@@ -158,10 +160,8 @@ class Exchanges:
         if used is None:
             return None
         del self._states[seq]
-        if abs(used.stamp - state.stamp) >= SNAP:
-            self.carried += 1
-            used = used.at(state.stamp)
-        return Exchange(state, used)
+        self.carried += abs(used.stamp - state.stamp) >= SNAP
+        return Exchange(state, replace(used, seq=state.seq))
 
 
 def _keep(kept: dict[int, Any], seq: int, item: Any) -> None:

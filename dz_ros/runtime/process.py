@@ -4,8 +4,29 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import os
+import signal
 
+PARENT = 'DZ_ROS_PARENT'
+"""Environment variable with the process id of the program that started this one, if it did."""
+_PR_SET_PDEATHSIG = 1
 _PR_SET_TIMERSLACK = 29
+
+
+def end_with_parent() -> None:
+    """Let the system send SIGTERM when the program that started this process has ended (Linux).
+
+    Without it a killed parent would leave a loop running that nobody can stop in order.
+    """
+    parent = os.environ.get(PARENT, '')
+    if not parent.isdigit():
+        return
+    try:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM), 0, 0, 0)
+    except (AttributeError, OSError):
+        return
+    if os.getppid() != int(parent):
+        os.kill(os.getpid(), signal.SIGTERM)
 
 
 def settle() -> None:

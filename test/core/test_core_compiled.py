@@ -18,7 +18,8 @@ CASES = [*({'controller.law': name} for name in LAWS.builtin),
          {'trajectory.kind': 'waypoints', 'trajectory.times': [0.0, 1.0, 2.0],
           'trajectory.positions': [0.0, 1.0, 0.5]},
          {'loop.delay': 2, 'plant.noise': [0.001, 0.01], 'plant.command_limit': 8.0,
-          'plant.dead_zone.b_r_drift': [0.2, 0.9]}]
+          'plant.dead_zone.b_r_drift': [0.2, 0.9]},
+         {'plant.kick': [0.3, 20.0, 0.05]}]
 
 
 @pytest.mark.parametrize('overrides', CASES, ids=lambda case: ' '.join(map(str, case.values())))

@@ -11,7 +11,8 @@ from dz_ros.drivers.simulated import SimulatedActuator
 
 @pytest.mark.parametrize('overrides', [
     {}, {'loop.delay': 2}, {'plant.command_limit': 5.0}, {'plant.noise': [0.001, 0.01]},
-    {'plant.dead_zone.b_r_drift': [0.25, 0.9], 'plant.dead_zone.m_l': 0.5}])
+    {'plant.dead_zone.b_r_drift': [0.25, 0.9], 'plant.dead_zone.m_l': 0.5},
+    {'plant.kick': [0.3, -20.0, 0.05], 'loop.delay': 1}])
 def test_commands_at_the_samples_repeat_the_offline_loop(overrides):
     configuration = Configuration.from_flat({'loop.duration': 1.0, **overrides})
     run = simulate(configuration)

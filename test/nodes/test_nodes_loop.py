@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 import signal
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -19,6 +20,21 @@ pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
 DZ = ('-m', 'dz_ros')
 NODE = ('-m', 'dz_ros.nodes.main')
 CONFIG = Path(__file__).parents[2] / 'config'
+
+
+def children(run, count):
+    """Node → process id, once so many of them have been started."""
+    deadline = time.monotonic() + 60.0
+    while True:
+        found = {}
+        for child in Path(f'/proc/{run.pid}/task/{run.pid}/children').read_text().split():
+            words = Path(f'/proc/{child}/cmdline').read_text().split('\0')
+            if 'dz_ros.nodes.main' in words:
+                found[words[words.index('dz_ros.nodes.main') + 1]] = int(child)
+        if len(found) >= count:
+            return found
+        assert time.monotonic() < deadline, f'only {found} started'
+        time.sleep(0.01)
 
 
 def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
@@ -39,7 +55,9 @@ def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
     assert np.all(age > 0.004)
     assert np.median(age) == pytest.approx(0.005)
     assert np.all(state['round_trip'][2:] > 0.0)
-    assert np.all(command['hold'] > 0.0)
+    # The first answer to a state says how long it took; a safe command sent after it does not.
+    answers = np.unique(command['echo_seq'], return_index=True)[1]
+    assert np.all(command['hold'][answers] > 0.0)
     assert terms['theta1'][0] == 0.85
     offline = simulate(Configuration.from_flat({'loop.duration': 6.0}))
     error = state['x0'][-1] - 2.5 * np.sin(6.0)
@@ -101,6 +119,44 @@ def test_ctrl_c_ends_everything_in_order_without_a_traceback(processes, tmp_path
     assert len(data.channels['state']) > 1
 
 
+@pytest.mark.parametrize('line', ['', 'ready'])
+def test_ctrl_c_while_the_nodes_are_starting_is_as_orderly(processes, tmp_path, line):
+    run = processes(*DZ, 'run', '--duration', '600', '--record', tmp_path / 'run')
+    nodes = children(run, 1 if line == '' else 4)
+    run.signal(signal.SIGINT)
+    assert run.wait() == 130, run.output
+    assert 'Traceback' not in run.output
+    assert 'failed' not in run.output
+    assert not [pid for pid in nodes.values() if Path(f'/proc/{pid}').exists()]
+
+
+@pytest.mark.parametrize('number', [signal.SIGKILL, signal.SIGHUP])
+def test_no_node_outlives_dz_run(processes, tmp_path, number):
+    run = processes(*DZ, 'run', '--duration', '0', '--record', tmp_path / 'run')
+    run.wait_for_line('v ')
+    nodes = children(run, 4)
+    run.signal(number)
+    run.wait()
+    deadline = time.monotonic() + 60.0
+    while any(Path(f'/proc/{pid}').exists() for pid in nodes.values()):
+        assert time.monotonic() < deadline, 'a node goes on without dz run'
+        time.sleep(0.05)
+    assert read_run(tmp_path / 'run').info.get('cut') is None
+
+
+@pytest.mark.parametrize('name', ['20261122', 'true', 'a #b', 'a: b', "it's"])
+def test_a_run_is_recorded_under_the_name_given(processes, tmp_path, name):
+    run = processes(*DZ, 'run', '--duration', '0.1', '--quiet', '--record', tmp_path / name)
+    assert run.wait() == 0, run.output
+    assert [item.name for item in tmp_path.iterdir()] == [name]
+
+
+def test_a_plant_that_diverges_is_one_line(processes):
+    run = processes(*DZ, 'run', 'wang2004', '--set', 'plant.x0=[900, 0]', '--quiet')
+    assert run.wait() in (1, 2)
+    assert 'Traceback' not in run.output
+
+
 def test_a_second_loop_is_refused_and_the_first_goes_on(processes, tmp_path):
     first = processes(*DZ, 'run', '--duration', '0')
     first.wait_for_line('v ')
@@ -118,12 +174,7 @@ def test_a_second_loop_is_refused_and_the_first_goes_on(processes, tmp_path):
 def test_a_killed_node_is_named_and_the_recording_survives(processes, tmp_path):
     run = processes(*DZ, 'run', '--duration', '600', '--record', tmp_path / 'run')
     run.wait_for_line('v ')
-    children = {}
-    for child in Path(f'/proc/{run.pid}/task/{run.pid}/children').read_text().split():
-        words = Path(f'/proc/{child}/cmdline').read_text().split('\0')
-        children[words[words.index('dz_ros.nodes.main') + 1]] = int(child)
-    assert set(children) == {'plant_node', 'controller_node', 'trajectory_node', 'recorder_node'}
-    os.kill(children['controller_node'], signal.SIGKILL)
+    os.kill(children(run, 4)['controller_node'], signal.SIGKILL)
     assert run.wait() == 1
     assert 'controller_node failed (killed by SIGKILL)' in run.output
     assert len(read_run(tmp_path / 'run').channels['command']) > 1

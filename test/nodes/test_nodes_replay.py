@@ -319,8 +319,8 @@ def test_the_example_in_the_document_says_what_is_printed(processes, tmp_path):
     document = Path(__file__).parents[2] / 'docs' / 'replay.md'
     section = document.read_text(encoding='utf-8').partition('\n## Replay\n')[2]
     (block,) = re.findall(r'^```console\n(.*?)^```', section, re.DOTALL | re.MULTILINE)
-    made = processes('-m', 'dz_ros', 'simulate', '--duration', '5', '--record', 'runs/a',
-                     cwd=tmp_path, PYTHONPATH=str(Path(__file__).parents[2]))
+    made = processes('-m', 'dz_ros', 'simulate', 'wang2004', '--duration', '5', '--record',
+                     'runs/a', cwd=tmp_path, PYTHONPATH=str(Path(__file__).parents[2]))
     assert made.wait() == 0, made.output
     for example in block.split('$ dz ')[1:]:
         command, _, expected = example.partition('\n')

@@ -7,7 +7,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.controller import Controller
 from dz_ros.core.dataset import from_run
 from dz_ros.core.loop import simulate
-from dz_ros.core.records import Reference, State
+from dz_ros.core.records import Reference, State, Status, Terms
 from dz_ros.errors import RecordingError
 from dz_ros.recording.cdr import ArrayCodec
 from dz_ros.recording.channels import ARRAY
@@ -81,13 +81,38 @@ def test_states_without_answer_and_repeated_ones_are_left_out():
     assert exchanges.missing == 0
 
 
-def test_a_reference_used_at_another_stamp_is_brought_there_as_the_controller_does():
+def test_a_reference_used_for_another_state_keeps_its_stamp():
     run = Run().reference(0).state(0).terms(0).state(1).terms(1, reference_seq=0)
     exchanges = Exchanges(run)
-    carried = list(exchanges)[1].reference
-    assert carried == Reference(0, 0.0, (1.0, 2.0, 3.0)).at(T)
-    assert carried.stamp == T
+    assert list(exchanges)[1].reference == Reference(1, 0.0, (1.0, 2.0, 3.0))
     assert exchanges.carried == 1
+
+
+def test_late_references_and_frozen_adaptation_are_repeated_bit_for_bit():
+    configuration = Configuration.from_flat({})
+    then, now = Controller(configuration), Controller(configuration)
+    run = Run()
+    for seq in range(40):       # references come for every eighth state: late, then too late
+        state = State(seq, seq * T, (0.1 * seq, 1.0))
+        run.add('state', State.labels(2), *state.numbers())
+        if seq % 8 == 0:
+            reference = Reference(seq, seq * T, (1.0, 2.0, 3.0))
+            run.add('reference', Reference.labels(2), *reference.numbers())
+            then.set_reference(reference)
+        _, terms = then.respond(state)
+        run.add('terms', Terms.labels(configuration.law.signal_names), *terms.numbers())
+    statuses = set()
+    then = Controller(configuration)
+    for item, (state, reference) in enumerate(Exchanges(run)):
+        if item % 8 == 0:
+            then.set_reference(reference)
+        now.set_reference(reference)
+        assert now.has_reference_for(state)
+        (command, terms), (again, found) = then.respond(state), now.respond(state)
+        assert again.v == command.v
+        assert (found.values, found.dt, found.status) == (terms.values, terms.dt, terms.status)
+        statuses.add(found.status)
+    assert statuses == {Status.ADAPTING, Status.STALE_REFERENCE}
 
 
 def test_without_terms_the_reference_is_that_of_the_stamp():

@@ -1,0 +1,99 @@
+"""Sweeps for the documents: the study of ε, the boundary of chatter, and how fast sweeps are.
+
+    python benchmarks/sweeps.py            print
+    python benchmarks/sweeps.py --write    write docs/sweeps.md and its pictures
+
+The pictures do not hang on the machine, the speed does, and on what else it is doing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+import sys
+import tempfile
+import time
+
+from machine import describe
+
+from dz_ros.analysis.style import Picture
+from dz_ros.core.compiled import available
+from dz_ros.studies.pool import cores
+from dz_ros.studies.scenarios import base_configuration
+from dz_ros.studies.sweep import read_sweep, run_sweep
+from dz_ros.studies.sweep_pictures import pictures
+from dz_ros.studies.sweep_plan import parse_axes, SweepPlan
+
+ROOT = Path(__file__).resolve().parent.parent
+STUDIES = {
+    'epsilon': ('controller.epsilon=0.005:0.5:60:log',),
+    'chatter': ('controller.epsilon=0.005:0.05:40:log', 'plant.b=0.5:2:31'),
+}
+WHOLE = 100_000
+
+
+def main() -> int:
+    """Run the studies."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--write', action='store_true', help='write documents and pictures')
+    parser.add_argument('--runs', type=int, default=2000, help='runs to measure the speed with')
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        drawn = {name: study(name, Path(folder)) for name in STUDIES}
+        speed = [throughput(jobs, arguments.runs, Path(folder))
+                 for jobs in sorted({1, cores()})]
+    machine = describe('numba', 'numpy')
+    lines = ['| processes | runs of 20 s | runs per s | 100 000 runs |', '|---|---|---|---|',
+             *(f'| {jobs} | {arguments.runs} | {rate:.0f} | {WHOLE / rate / 60:.0f} min |'
+               for jobs, rate in speed)]
+    print(machine, f'numba used: {available()}', *lines,
+          *(picture.caption for picture in drawn.values()), sep='\n')
+    if arguments.write:
+        write(machine, lines, drawn)
+    return 0
+
+
+def study(name: str, folder: Path) -> Picture:
+    """Return the picture of a study; chatter is looked at with a sample of delay."""
+    base = {**base_configuration(20.0), 'loop.delay': int(name == 'chatter')}
+    file = folder / f'{name}.csv'
+    run_sweep(SweepPlan(base, parse_axes(STUDIES[name])), file)
+    return pictures(read_sweep(file))[0]
+
+
+def throughput(jobs: int, runs: int, folder: Path) -> tuple[int, float]:
+    """Return runs per second, compilation left out: the time between two lengths of a sweep."""
+    times = []
+    for count in (runs // 10, runs):
+        plan = SweepPlan(base_configuration(20.0),
+                         parse_axes([f'controller.epsilon=0.01:0.1:{count}']))
+        begin = time.perf_counter()
+        run_sweep(plan, folder / f'speed-{jobs}-{count}.csv', jobs)
+        times.append(time.perf_counter() - begin)
+    return jobs, (runs - runs // 10) / (times[1] - times[0])
+
+
+def write(machine: str, lines: list[str], drawn: dict[str, Picture]) -> None:
+    """Write docs/sweeps.md and its pictures."""
+    for name, picture in drawn.items():
+        (ROOT / 'docs' / 'images' / f'sweep_{name}.png').write_bytes(picture.png())
+    text = ['# Sweeps', '', 'Written by `python benchmarks/sweeps.py --write`.', '',
+            '## The width of the boundary layer', '',
+            '`dz sweep wang2004 --over controller.epsilon=0.005:0.5:60:log --out epsilon.csv` and '
+            '`dz sweep plot epsilon.csv`: the example of the paper, λ = 1, no delay, 20 s.', '',
+            f'![{drawn["epsilon"].alt}](images/sweep_epsilon.png)', '',
+            drawn['epsilon'].caption, '', '## Where chatter begins', '',
+            '`dz sweep wang2004 --set loop.delay=1 --over controller.epsilon=0.005:0.05:40:log '
+            '--over plant.b=0.5:2:31 --out chatter.csv`.', '',
+            f'![{drawn["chatter"].alt}](images/sweep_chatter.png)', '',
+            drawn['chatter'].caption, '', '## How fast', '', *lines, '',
+            'Compiled by numba, four RK4 steps a sample, metrics included; compiling, some '
+            f'seconds in each process, left out. Measured on {machine}, which did other work '
+            f'meanwhile: load average {os.getloadavg()[1]:.1f} over five minutes on {cores()} '
+            'cores, so the step from one process to more is smaller than on an idle machine.', '']
+    (ROOT / 'docs' / 'sweeps.md').write_text('\n'.join(text), encoding='utf-8')
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Many closed loops off line: scenarios, the comparison of laws, sweeps, tuning."""

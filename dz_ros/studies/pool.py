@@ -1,0 +1,102 @@
+"""Many tasks on all cores of this machine, or on the workers of a dask.distributed scheduler.
+
+A task is a picklable call; results come as they are ready, each with its place. Numbers do not
+hang on how tasks are spread: a task carries everything it needs, seeds included.
+
+- one job: in this process
+- several: processes, started anew (spawn), so that nothing is inherited but the package
+- a cluster: any dask.distributed scheduler whose workers have dz_ros. What a worker was doing when
+  it died is given to another one; what it had done and not yet handed over is done again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import as_completed, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from importlib.util import find_spec
+import multiprocessing
+import os
+from typing import Any
+
+from dz_ros.errors import ConfigurationError, LoopError, MissingDependencyError
+
+Task = tuple[Callable[..., Any], tuple[Any, ...]]
+"""A function and its arguments."""
+
+PATIENCE = 30
+"""Longest wait for a scheduler to answer [s]."""
+
+
+def cores() -> int:
+    """Return the number of cores this process may use."""
+    if hasattr(os, 'sched_getaffinity'):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def execute(tasks: Sequence[Task], jobs: int = 0,
+            cluster: str | None = None) -> Iterator[tuple[int, Any]]:
+    """Yield (place of a task, its result) as results become ready.
+
+    Args:
+        tasks: What to do; those at the front are begun first.
+        jobs: Processes; 0 = one for each core.
+        cluster: Address of a dask.distributed scheduler, e.g. ``tcp://host:8786``; None = here.
+
+    Raises:
+        ConfigurationError: Fewer than no jobs, or an address at which no scheduler answers.
+        MissingDependencyError: dask.distributed is not installed.
+        LoopError: A worker process was killed (by the system, for its memory, most likely).
+    """
+    if jobs < 0:
+        raise ConfigurationError('jobs', jobs, 'must be 0 (all cores) or more')
+    if cluster is not None:
+        yield from _on_cluster(tasks, cluster)
+        return
+    jobs = min(jobs or cores(), len(tasks))
+    if jobs <= 1:
+        for place, (function, arguments) in enumerate(tasks):
+            yield place, function(*arguments)
+        return
+    with ProcessPoolExecutor(jobs, multiprocessing.get_context('spawn')) as pool:
+        futures = {pool.submit(function, *arguments): place
+                   for place, (function, arguments) in enumerate(tasks)}
+        try:
+            for future in as_completed(futures):
+                yield futures[future], future.result()
+        except BrokenProcessPool as error:
+            raise LoopError('a worker process was killed; fewer jobs need less memory') from error
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[tuple[int, Any]]:
+    """Yield results of the workers of a scheduler."""
+    if find_spec('distributed') is None:
+        raise MissingDependencyError("dask.distributed is not installed: pip install "
+                                     "'dz_ros[cluster]'")
+    from distributed import as_completed as as_ready
+    from distributed import Client, KilledWorker
+
+    try:
+        client = Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise ConfigurationError('--cluster', address,
+                                 f'no scheduler answers there: {error}') from error
+    with client, client.as_current():
+        places = {}
+        futures = []
+        for place, (function, arguments) in enumerate(tasks):
+            future = client.submit(function, *arguments, pure=False, priority=-place)
+            places[future.key] = place
+            futures.append(future)
+        try:
+            for future in as_ready(futures):
+                place = places[future.key]
+                result = future.result()
+                future.release()
+                yield place, result
+        except KilledWorker as error:
+            raise LoopError(f'the scheduler gave up on a task, its workers keep dying: {error}'
+                            ) from error

@@ -1,0 +1,188 @@
+"""Gains proposed from bounds, rate, delay and effort, by the design rules (ours).
+
+    d   = max(configured delay, 1): a loop over topics takes up to one sample
+    k*  = ρ/m_min + Δ/(b_min m_min)                           dead-zone and disturbance, (18)
+    β   = b_max m_max,   K0 = f μ_d/(β T)                      the steepest layer with margin f
+    k_d = the configured one, at most K0/3                    so that the rest of K is k*/ε
+    ε   = k*/(K0 − k_d − (n−1) λ φ̂)                            not where the law makes its own
+    γ, η = c k_d/(T max(|Y|² + u_d²)) along the reference,  c = 1/80
+    φ̂   in [1/(b_max m_max), 1/(b_min m_min)], θ̂_i in a_i times that, each a fifth wider; they
+          start in the middle
+    ρ0  = k* − ρ/m_min;  k_2 = 2 k_d;  v_max = the limit of the actuator
+    λ   = half the limit of stability at most, and what keeps peak |v| within the effort, both
+          found by simulation; at most the configured λ times 4
+
+c gives the order of the paper's gains on the paper's example. a_i are those of the plant's model:
+where they are guesses, widen θ's bounds. Nothing here is optimal; it is safe to start from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from dz_ros.core.boundary_layer import chatter_limit
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.deadzone import rho
+from dz_ros.core.design_rules import disturbance_along_reference, least_robust_gain
+from dz_ros.core.schema import fields
+from dz_ros.core.stability import lambda_limit
+from dz_ros.core.tracking import feed_forward_weights
+from dz_ros.errors import ConfigurationError
+from dz_ros.studies.outcome import Row, run_row
+
+MARGIN = 0.5
+"""f, share of the chatter limit that K uses where the law has no margin of its own."""
+ADAPTATION = 1.0 / 80.0
+"""c of γ and η."""
+WIDER = 0.2
+"""Projection bounds are this much wider than what the bounds of plant and dead-zone give."""
+STEPS = (4.0, 2.83, 2.0, 1.41, 1.0, 0.71, 0.5, 0.35, 0.25, 0.18, 0.125)
+"""Multiples of the configured λ that are tried, steepest first."""
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """What is proposed.
+
+    Attributes:
+        before: The configuration given.
+        after: The one proposed.
+        reasons: Key → why it has its value; only keys that changed or were looked at.
+        rows: Name → numbers in simulation: before and after, at the configured delay and one
+            sample more.
+    """
+
+    before: Configuration
+    after: Configuration
+    reasons: dict[str, str]
+    rows: dict[str, Row]
+
+
+def tune(c: Configuration, effort: float = 0.0, disturbance: float | None = None) -> Proposal:
+    """Return gains for a configuration and what they give.
+
+    Args:
+        c: What is known: bounds, rate, delay, reference, plant; a law with a robust gain k*.
+        effort: Largest |v| allowed [actuator unit]; 0 = the actuator's limit, where it has none
+            what the configuration takes now, a tenth more.
+        disturbance: Largest disturbance [unit of x^(n)]; None = the model's along the reference.
+
+    Raises:
+        ConfigurationError: A law without k*, or no λ keeps within the effort.
+    """
+    names = {item.name for item in fields(type(c.law.gains))}
+    if 'k_star' not in names:
+        raise ConfigurationError('controller.law', c.law.name, 'has no k* to tune; choose robust, '
+                                 'wang2004 or extended')
+    effort = effort or c.plant_settings.command_limit or _present_peak(c)
+    delta = disturbance_along_reference(c) if disturbance is None else disturbance
+    values = _from_rules(c, delta)
+    reasons = {key: why for key, (_, why) in values.items() if key.partition('.')[2] in names}
+    changes = {key: values[key][0] for key in reasons}
+    tuned, why = _with_lambda(c, changes, effort)
+    reasons['controller.lambda'] = why
+    rows = {}
+    for extra in (0, 1):
+        delay = {'loop.delay': c.loop.delay + extra}
+        for name, item in (('before', c), ('after', tuned)):
+            rows[f'{name}, delay {c.loop.delay + extra}'] = run_row(item.replace(**delay))
+    return Proposal(c, tuned, reasons, rows)
+
+
+def _from_rules(c: Configuration, delta: float) -> dict[str, tuple[Any, str]]:
+    """Return key → value and reason of everything but λ (ε is made for λ = the configured)."""
+    known, gains = c.controller_settings, c.law.gains
+    bound = rho(known.b_r_bounds[1], known.b_l_bounds[0], known.m_bounds[1])
+    low, high = (b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
+    dead = least_robust_gain(bound, known.m_bounds[0])
+    k_star = least_robust_gain(bound, known.m_bounds[0], known.b_bounds[0], delta)
+    delay = max(c.loop.delay, 1)
+    margin = getattr(gains, 'margin', MARGIN)
+    steepest = margin * chatter_limit(delay) / (high * c.loop.period)
+    k_d = min(gains.k_d, steepest / 3.0)
+    phi = (1.0 / high / (1.0 + WIDER), (1.0 + WIDER) / low)
+    start = 0.5 * (1.0 / high + 1.0 / low)
+    theta = [tuple(sorted((a * phi[0], a * phi[1]))) for a in c.plant.a]
+    rate = ADAPTATION * k_d / (c.loop.period * _power(c))
+    return {f'controller.{key}': item for key, item in {
+        'k_star': (k_star, f'rho/m_min = {dead:.4g} and {delta:.4g} of disturbance'),
+        'k_d': (k_d, f'at most a third of K0 = {steepest:.4g}'),
+        'beta': (high, 'b_max m_max'),
+        'design_delay': (delay, 'the loop takes up to this many samples'),
+        'gamma': (rate, 'slow against the layer, from max(|Y|² + u_d²) along the reference'),
+        'eta': (rate, 'as gamma'),
+        'phi_0': (start, 'middle of 1/(b m)'),
+        'theta_0': ([a * start for a in c.plant.a], 'a_i of the model times the middle'),
+        'phi_min': (phi[0], 'least 1/(b m), a fifth less'),
+        'phi_max': (phi[1], 'largest 1/(b m), a fifth more'),
+        'theta_min': ([item[0] for item in theta], 'least a_i/(b m), a fifth less'),
+        'theta_max': ([item[1] for item in theta], 'largest a_i/(b m), a fifth more'),
+        'rho_0': (k_star - dead, 'what k* has beyond rho/m_min'),
+        'k_2': (2.0 * k_d, '2 k_d'),
+        'v_max': (c.plant_settings.command_limit, "the actuator's limit, 0 = none"),
+        'epsilon': (0.0, f'a layer as steep as K0 = {steepest:.4g} allows at delay {delay}'),
+    }.items()}
+
+
+def _present_peak(c: Configuration) -> float:
+    """Return the effort of the configuration as it is, a tenth more; 0 = it is lost."""
+    row = run_row(c)
+    return 0.0 if row['lost'] else 1.1 * float(row['v_peak_run'])
+
+
+def _power(c: Configuration) -> float:
+    """Return max(|Y|² + u_d²) along the reference."""
+    largest, y = 0.0, [0.0] * c.plant.regressor_count
+    for k in range(2001):
+        x_d = c.trajectory((c.loop.duration or 60.0) * k / 2000.0)
+        c.plant.regressors(x_d[:c.plant.order], c.plant.constants, y)
+        largest = max(largest, sum(item * item for item in y) + x_d[-1] ** 2)
+    return max(largest, 1e-12)
+
+
+def _with_lambda(c: Configuration, changes: dict[str, Any],
+                 effort: float) -> tuple[Configuration, str]:
+    """Return the configuration with the steepest λ that is calm and within the effort."""
+    given = float(c.law.gains.lambda_)
+    smallest = float('inf')
+    limit = 0.5 * lambda_limit(_at(c, changes, given))
+    for step in STEPS:
+        slope = step * given
+        if slope > limit:
+            continue
+        try:
+            tried = _at(c, changes, slope)
+        except ConfigurationError:
+            continue        # no layer is wide enough for such a slope
+        row = run_row(tried)
+        if row['lost'] or row['v_peak_run'] is None:
+            continue
+        smallest = min(smallest, row['v_peak_run'])
+        if not effort or row['v_peak_run'] <= effort:
+            told = f', peak |v| {row["v_peak_run"]:.4g}'
+            told += f' within {effort:.4g}' if effort else ''
+            return tried, f'at most half of where the loop is lost, {2.0 * limit:.4g}{told}'
+    raise ConfigurationError('--effort', effort, 'no slope keeps within it; the least peak |v| '
+                             f'found is {smallest:.4g}: start nearer to the reference or allow '
+                             'more')
+
+
+def _at(c: Configuration, changes: dict[str, Any], slope: float) -> Configuration:
+    """Return the configuration with this λ and, where the law has one, the ε it allows.
+
+    Raises:
+        ConfigurationError: No ε is wide enough.
+    """
+    values = {**changes, 'controller.lambda': slope}
+    if 'controller.epsilon' in values:
+        known = c.controller_settings
+        beta = known.b_bounds[1] * known.m_bounds[1]
+        lead = feed_forward_weights(slope, c.plant.order)[-1] * values['controller.phi_0']
+        steepest = MARGIN * chatter_limit(max(c.loop.delay, 1)) / (beta * c.loop.period)
+        room = steepest - values['controller.k_d'] - lead
+        if room <= 0.0:
+            raise ConfigurationError('controller.lambda', slope, f'no layer is wide enough at '
+                                     f'{c.loop.rate:g} Hz')
+        values['controller.epsilon'] = values['controller.k_star'] / room
+    return c.replace(**values)

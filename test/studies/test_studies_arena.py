@@ -1,0 +1,166 @@
+"""The comparison: its scenarios, its cells, its tables and page; the same numbers on any cores."""
+
+import csv
+import io
+import re
+
+import numpy as np
+import pytest
+
+from dz_ros.analysis.report import write_files
+from dz_ros.cli.main import main
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.laws import LAWS
+from dz_ros.core.loop import simulate
+from dz_ros.errors import UnknownNameError
+from dz_ros.studies.arena import Arena, Cell, Plan, run_arena
+from dz_ros.studies.arena_page import compose, format_text, recovery, verdicts, write_arena
+from dz_ros.studies.outcome import COLUMNS, row_of, run_row
+from dz_ros.studies.scenarios import base_configuration, entrants, scenarios, yardstick
+
+DURATION = 6.0
+
+
+@pytest.fixture(scope='module')
+def arena():
+    """Return a small comparison without compiling anything."""
+    patch = pytest.MonkeyPatch()
+    with patch.context() as context:
+        context.setattr('dz_ros.core.compiled.available', lambda: False)
+        return run_arena(Plan.of(['robust', 'wang2004', 'pd'], ['nominal', 'noise', 'kick'],
+                                 DURATION, 2), jobs=1)
+
+
+def test_every_law_that_ships_takes_part():
+    laws = {item.changes['controller.law'] for item in entrants().values()}
+    assert laws == set(LAWS.builtin)
+
+
+@pytest.mark.parametrize('scenario', scenarios().values(), ids=lambda item: item.name)
+@pytest.mark.parametrize('entrant', entrants().values(), ids=lambda item: item.name)
+def test_every_run_can_be_configured(entrant, scenario):
+    for member in scenario.members:
+        c = Configuration.from_flat({**base_configuration(), **entrant.changes, **member})
+        assert set(c.set_aside) <= {*base_configuration(), 'controller.v_max'}
+
+
+def test_kicks_lie_in_the_window_and_go_both_ways():
+    kicks = [member['plant.kick'] for member in scenarios()['kick'].members]
+    assert len(kicks) == 8
+    assert {kick[1] for kick in kicks} == {20.0, -20.0}
+    assert {kick[2] for kick in kicks} == {0.05}
+    assert all(50.0 < kick[0] < 58.0 for kick in kicks)
+    apart = np.diff(sorted({kick[0] for kick in kicks}))
+    assert apart == pytest.approx([np.pi / 2] * 3, abs=0.01)
+
+
+def test_the_yardstick_is_the_paper_s():
+    assert yardstick() == (0.02, 0.04)
+
+
+def test_a_row_is_what_an_independent_look_at_the_run_says():
+    flat = {**base_configuration(8.0), 'plant.noise': [1e-3, 1e-2]}
+    run = simulate(Configuration.from_flat(flat))
+    row = run_row(run.configuration, yardstick())
+    last = run.t >= 4.0 - 1e-9
+    error = run.x[last] - run.x_d[last, :2]     # the true state's, not the measured one's
+    assert row['error_max'] == np.abs(error[:, 0]).max()
+    assert row['v_variation'] == pytest.approx(np.abs(np.diff(run.v[last])).sum() / 4.0)
+    assert row['v_peak_run'] == np.abs(run.v).max()
+    assert row['omega'] == np.mean((np.abs(error) <= [0.02, 0.04]).all(axis=1))
+    assert row['lost'] == 0
+    assert set(row) == set(COLUMNS)
+
+
+@pytest.mark.parametrize(('changed', 'reason'), [
+    ({'controller.lambda': 9.0}, 'diverged|does not follow'),
+    ({'controller.lambda': -1.0}, 'refused: controller.lambda'),
+    ({'loop.duration': 0.0}, 'too short')])
+def test_a_failed_run_is_kept_with_its_reason(changed, reason):
+    row = row_of(base_configuration(10.0), changed)
+    assert row['lost'] == 1
+    assert re.search(reason, row['reason'])
+
+
+def test_cells_hold_a_row_a_member(arena):
+    assert {key: len(cell.rows) for key, cell in arena.cells.items()} == {
+        (law, scenario): count for law in ('robust', 'wang2004', 'pd')
+        for scenario, count in (('nominal', 1), ('noise', 2), ('kick', 8))}
+    flats = arena.plan.configurations()
+    assert len(flats) == arena.plan.runs == 33
+    row = run_row(Configuration.from_flat(flats['wang2004', 'noise', 1]), yardstick())
+    assert row == arena.cells['wang2004', 'noise'].rows[1]
+
+
+def test_ranking_and_verdicts(arena):
+    assert arena.ranking('nominal') == ['robust', 'wang2004', 'pd']
+    said = verdicts(arena)
+    assert len(said) == 3
+    assert said[0].startswith('nominal: ')
+    assert 'is beaten by pd' in said[0]
+    assert 'max |x̃|' not in said[0]
+
+
+def test_a_lost_entrant_comes_last_and_is_said_to_be_lost(arena):
+    gone = {**dict.fromkeys(COLUMNS), 'lost': 1, 'reason': 'diverged', 'error_max': 0.0}
+    lost = Arena(arena.plan, {**arena.cells, ('robust', 'nominal'): Cell((gone,))})
+    assert lost.ranking('nominal')[-1] == 'robust'
+    assert '1 of 1' in format_text(lost)
+
+
+def test_recovery_says_who_never_did():
+    rows = [{'recovery_time': 0.25}, {'recovery_time': 0.75}]
+    assert recovery(Cell(tuple(rows))) == '0.5'
+    assert recovery(Cell((*rows, {'recovery_time': None}))) == 'never in 1 of 3'
+
+
+def test_csv_holds_every_run_to_the_last_digit(arena):
+    rows = list(csv.DictReader(io.StringIO(arena.csv())))
+    assert len(rows) == 33
+    for row in rows:
+        cell = arena.cells[row['law'], row['scenario']]
+        assert float(row['error_max']) == cell.rows[int(row['member'])]['error_max']
+
+
+def test_the_page_stands_alone_and_names_everything(arena, tmp_path):
+    page = write_arena(arena, tmp_path / 'out')
+    text = page.read_text(encoding='utf-8')
+    assert text == compose(arena, []) or text.count('data:image/png;base64') == 2
+    for name in (*arena.plan.entrants, *arena.plan.scenarios, 'Where another law is better'):
+        assert name in text
+    assert 'http' not in text
+    assert sorted(item.name for item in (tmp_path / 'out').iterdir()) == [
+        'arena.csv', 'arena.html', 'best_worst.png', 'error_effort.png']
+    write_files(tmp_path / 'out', {})
+
+
+def test_the_command_line_gives_the_same_numbers_on_two_processes(arena, capsys):
+    assert main(['arena', '--laws', 'robust,wang2004,pd', '--scenarios', 'nominal;noise;kick',
+                 '--duration', '6', '--seeds', '2', '-j', '2', '--csv', '--quiet']) == 0
+    assert capsys.readouterr().out == arena.csv()
+
+
+def test_progress_counts_runs(monkeypatch):
+    monkeypatch.setattr('dz_ros.core.compiled.available', lambda: False)
+    seen = []
+    run_arena(Plan.of(['pd', 'pid'], ['nominal'], 2.0), jobs=1,
+              progress=lambda *words: seen.append(words))
+    assert [words[:2] for words in seen] == [(1, 2), (2, 2)]
+    assert {words[2] for words in seen} == {'pd', 'pid'}
+
+
+def test_nonsense_is_one_line(capsys):
+    for words in (('--laws', 'nobody'), ('--scenarios', 'flood'), ('--seeds', '0'),
+                  ('--duration', 'nan'), ('-j', '-1')):
+        assert main(['arena', *words]) == 2
+        assert capsys.readouterr().err.count('\n') == 1
+    with pytest.raises(UnknownNameError, match='known: robust'):
+        Plan.of(['nobody'])
+
+
+def test_list(capsys):
+    assert main(['arena', '--list', '--laws', 'exact_inverse', '--scenarios', 'drift']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line[:20].strip() for line in lines] == [
+        'exact_inverse k=0', 'exact_inverse k=1.47', 'exact_inverse k=2.5', 'drift']
+

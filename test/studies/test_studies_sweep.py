@@ -1,0 +1,314 @@
+"""Sweeps: their points, their file that survives being cut, their maps, their cluster."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+
+from hypothesis import given
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from dz_ros.cli.main import main
+from dz_ros.core.configuration import Configuration
+from dz_ros.errors import ConfigurationError, DzRosError, MissingDependencyError, RunExistsError
+from dz_ros.studies import pool
+from dz_ros.studies import sweep as module
+from dz_ros.studies.outcome import row_of
+from dz_ros.studies.sweep import read_sweep, run_sweep
+from dz_ros.studies.sweep_pictures import crossing, is_geometric, pictures, threshold
+from dz_ros.studies.sweep_plan import Axis, parse_axes, SweepPlan
+
+BASE = Configuration.from_flat({'loop.duration': 2.0, 'plant.substeps': 1,
+                                'plant.noise': [0.0, 0.0]}).to_flat()
+
+
+@pytest.fixture(autouse=True)
+def plain(monkeypatch):
+    """Compile nothing in this process: the runs are short."""
+    monkeypatch.setattr('dz_ros.core.compiled.available', lambda: False)
+
+
+def plan_of(*axes, **settings):
+    return SweepPlan(BASE, parse_axes(axes), **settings)
+
+
+def test_a_grid_is_every_combination():
+    points = plan_of('controller.epsilon=0.01:0.03:3', 'loop.delay=0,1').points()
+    assert points == [{'controller.epsilon': epsilon, 'loop.delay': delay}
+                      for epsilon in np.linspace(0.01, 0.03, 3).tolist() for delay in (0, 1)]
+
+
+def test_equal_ratios_include_both_ends():
+    values = Axis.parse('controller.epsilon=0.005:0.5:5:log').grid()
+    assert values[0] == pytest.approx(0.005)
+    assert values[-1] == pytest.approx(0.5)
+    assert np.ptp(np.diff(np.log(values))) < 1e-12
+
+
+@given(st.floats(1e-3, 10.0), st.floats(1.0, 50.0), st.booleans(), st.floats(0.0, 0.999))
+def test_every_sample_lies_on_its_axis(low, ratio, log, share):
+    axis = Axis('k', low, low * ratio, 2, log)
+    assert low * (1 - 1e-12) <= axis.at(share) <= low * ratio * (1 + 1e-12)
+
+
+@pytest.mark.parametrize('sampler', ['random', 'sobol'])
+def test_samples_follow_the_seed(sampler):
+    axes = ('plant.b=0.5:2:2', 'controller.law=wang2004,robust')
+    first, again, other = (plan_of(*axes, sampler=sampler, samples=37, seed=seed).points()
+                           for seed in (1, 1, 2))
+    assert first == again
+    assert first != other
+    assert len(first) == 37
+    assert {point['controller.law'] for point in first} == {'wang2004', 'robust'}
+    assert all(0.5 <= point['plant.b'] <= 2.0 for point in first)
+
+
+def test_sobol_fills_the_line_more_evenly_than_chance():
+    def gap(sampler):
+        points = plan_of('plant.b=0:1:2', sampler=sampler, samples=64).points()
+        return np.diff(np.sort([point['plant.b'] for point in points])).max()
+    assert gap('sobol') < 2.0 / 64 < gap('random')
+
+
+def test_one_number_of_an_array():
+    plan = plan_of('plant.noise[1]=0,0.01', 'plant.dead_zone.b_r_drift[0]=0.1,0.2')
+    assert plan.changes(plan.points()[3]) == {'plant.noise': [0.0, 0.01],
+                                              'plant.dead_zone.b_r_drift': [0.2, 0.0]}
+
+
+@pytest.mark.parametrize(('axes', 'settings', 'words'), [
+    ((), {}, 'at least one key'), (('plant.b=1,2', 'plant.b=3,4'), {}, 'each once'),
+    (('plant.nonsense=1,2',), {}, 'unknown key'), (('plant.x0[7]=1,2',), {}, 'no such element'),
+    (('plant.b=1:2:3',), {'sampler': 'random'}, '--samples'),
+    (('plant.b=1:2:9999', 'plant.a1=1:2:9999'), {}, 'too many')])
+def test_what_cannot_be_swept_is_refused(axes, settings, words):
+    with pytest.raises(DzRosError, match=words):
+        plan_of(*axes, **settings).check()
+
+
+@pytest.mark.parametrize('text', ['', 'plant.b', '=1:2:3', 'plant.b=1:2', 'plant.b=1:2:3:lin',
+                                  'plant.b=a:b:c', 'plant.b=2:1:3', 'plant.b=0:1:3:log',
+                                  'plant.b=1:nan:3', 'plant.b=1:2:0', 'plant.b='])
+def test_what_is_no_axis_is_refused(text):
+    with pytest.raises(ConfigurationError, match=r'--over|must be'):
+        Axis.parse(text)
+
+
+def test_rows_are_those_of_single_runs_in_order(tmp_path):
+    plan = plan_of('controller.epsilon=0.01:0.05:3')
+    assert run_sweep(plan, tmp_path / 's.csv', 1) == 0
+    rows = read_sweep(tmp_path / 's.csv')
+    assert [row['run'] for row in rows] == [0, 1, 2]
+    for row, point in zip(rows, plan.points(), strict=True):
+        single = row_of(BASE, point)
+        assert {name: row[name] or None for name in single} == {
+            name: value or None for name, value in single.items()}
+
+
+def test_failed_runs_are_kept_with_their_reason(tmp_path):
+    lost = run_sweep(plan_of('controller.lambda=1,-1,300'), tmp_path / 's.csv', 1)
+    rows = read_sweep(tmp_path / 's.csv')
+    assert lost == 2
+    assert [row['lost'] for row in rows] == [0, 1, 1]
+    assert rows[1]['reason'].startswith('refused: controller.lambda')
+    assert rows[2]['reason'].startswith(('diverged', 'does not follow'))
+
+
+@pytest.mark.parametrize('kept', [0.0, 0.02, 0.4, 0.63, 0.99, 1.0])
+def test_a_sweep_goes_on_from_wherever_it_was_cut(tmp_path, kept, monkeypatch):
+    monkeypatch.setattr(module, 'CHUNK', 2)
+    plan = plan_of('controller.epsilon=0.01:0.05:5')
+    whole, cut = tmp_path / 'whole.csv', tmp_path / 'cut.csv'
+    run_sweep(plan, whole, 1)
+    content = whole.read_bytes()
+    cut.write_bytes(content[:int(kept * len(content))])
+    seen = []
+    run_sweep(plan, cut, 1, resume=seen.append)
+    assert cut.read_bytes() == content
+    assert seen == [max(0, content[:int(kept * len(content))].count(b'\n') - 2)]
+
+
+def test_another_sweep_s_file_is_refused(tmp_path):
+    out = tmp_path / 's.csv'
+    run_sweep(plan_of('controller.epsilon=0.02,0.03'), out, 1)
+    before = out.read_bytes()
+    with pytest.raises(ConfigurationError, match='holds another sweep'):
+        run_sweep(plan_of('controller.epsilon=0.02,0.04'), out, 1)
+    assert out.read_bytes() == before
+    strange = tmp_path / 'letter.csv'
+    strange.write_text('dear reader\n')
+    with pytest.raises(ConfigurationError, match='not the file of a sweep'):
+        run_sweep(plan_of('controller.epsilon=0.02,0.04'), strange, 1)
+    assert strange.read_text() == 'dear reader\n'
+
+
+def test_parquet_holds_the_same_rows(tmp_path):
+    pytest.importorskip('pyarrow', reason='pyarrow is not installed: no Parquet')
+    plan = plan_of('controller.epsilon=0.02,0.03', 'controller.lambda=1,-1')
+    run_sweep(plan, tmp_path / 's.csv', 1)
+    run_sweep(plan, tmp_path / 's.parquet', 1)
+    for a, b in zip(read_sweep(tmp_path / 's.csv'), read_sweep(tmp_path / 's.parquet'),
+                    strict=True):
+        assert {k: v or None for k, v in a.items()} == {k: v or None for k, v in b.items()}
+    assert sorted(item.name for item in tmp_path.iterdir()) == ['s.csv', 's.parquet']
+    with pytest.raises(RunExistsError):
+        run_sweep(plan, tmp_path / 's.parquet', 1)
+
+
+def test_two_processes_give_the_file_of_one(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, 'CHUNK', 2)
+    plan = plan_of('controller.epsilon=0.01:0.05:6')
+    run_sweep(plan, tmp_path / 'one.csv', 1)
+    run_sweep(plan, tmp_path / 'two.csv', 2)
+    assert (tmp_path / 'one.csv').read_bytes() == (tmp_path / 'two.csv').read_bytes()
+
+
+def test_the_measured_boundary_is_the_predicted_one(tmp_path):
+    base = {**BASE, 'loop.duration': 8.0, 'loop.delay': 1}
+    plan = SweepPlan(base, parse_axes(['controller.epsilon=0.0105:0.0165:13']))
+    run_sweep(plan, tmp_path / 's.csv', 1)
+    rows = read_sweep(tmp_path / 's.csv')
+    x = np.array([row['controller.epsilon'] for row in rows])
+    predicted = crossing(x, np.array([row['chatter_share'] for row in rows]), 1.0)
+    measured = crossing(x, np.array([row['v_variation'] for row in rows]), 40.0)
+    assert predicted == pytest.approx(0.0132, abs=5e-4)
+    assert measured == pytest.approx(predicted, rel=0.05)
+
+
+def rows_of_map():
+    return [{'run': i, 'a': 10.0 ** a, 'b': float(b), 'error_max': 0.1 * (a + 1),
+             'v_variation': 500.0 if a + b > 4 else 5.0, 'chatter_share': (a + b) / 4.5,
+             'lost': int(a == 3), 'reason': ''}
+            for i, (a, b) in enumerate((a, b) for a in range(4) for b in range(4))]
+
+
+def test_maps_carry_both_boundaries():
+    picture, = pictures(rows_of_map())
+    assert picture.name == 'sweep_a_b'
+    assert len(picture.png()) > 10000
+    axes = picture.figure.axes[0]
+    assert axes.get_xscale() == 'log'
+    assert axes.get_yscale() == 'linear'
+    assert len(axes.collections) == 3       # the map, the predicted and the measured boundary
+    assert threshold(rows_of_map()) == 20.0
+
+
+def test_scattered_runs_are_drawn_too():
+    generator = np.random.default_rng(1)
+    rows = [{**row, 'a': float(generator.random()), 'b': float(generator.random())}
+            for row in rows_of_map()]
+    assert pictures(rows)[0].png()
+
+
+def test_one_key_gives_curves_with_the_boundary():
+    rows = [{k: v for k, v in row.items() if k != 'b'} for row in rows_of_map() if row['b'] == 2.0]
+    picture, = pictures(rows)
+    assert picture.name == 'sweep_a'
+    assert any(line.get_gid() == 'predicted' for line in picture.figure.axes[1].lines)
+
+
+def test_pictures_refuse_what_was_not_swept():
+    with pytest.raises(ConfigurationError, match='choose of a, b'):
+        pictures(rows_of_map(), 'c')
+    with pytest.raises(ConfigurationError, match='no runs'):
+        pictures([])
+    with pytest.raises(ConfigurationError, match='names as values'):
+        pictures([{**row, 'b': 'pd'} for row in rows_of_map()])
+
+
+def test_crossings_and_spacings():
+    assert crossing(np.array([2.0, 1.0]), np.array([0.0, 4.0]), 1.0) == 1.75
+    assert crossing(np.array([1.0, 2.0]), np.array([3.0, 4.0]), 1.0) is None
+    assert is_geometric(np.geomspace(1, 9, 5))
+    assert not is_geometric(np.linspace(1, 9, 5))
+
+
+def test_the_command_line_runs_and_draws(tmp_path, capsys):
+    out = tmp_path / 's.csv'
+    words = ['sweep', 'wang2004', '--over', 'controller.epsilon=0.01:0.1:4:log', '--duration', '1',
+             '--out', str(out), '-j', '1', '--quiet']
+    assert main(words) == 0
+    assert '4 runs, 0 of them lost' in capsys.readouterr().out
+    assert main(words) == 0                 # all done: nothing is run again
+    with out.open() as file:
+        assert len(list(csv.reader(file))) == 6
+    assert main(['sweep', 'plot', str(out)]) == 0
+    assert (tmp_path / 's-maps' / 'sweep_controller_epsilon.png').stat().st_size > 10000
+
+
+@pytest.mark.parametrize('words', [
+    ('--over', 'plant.b=1,2'), ('--over', 'plant.b=1,2', '--out', 's.txt'),
+    ('--over', 'plant.b=1,2', '--out', 'nowhere/s.csv'), ('--out', 's.csv'),
+    ('--over', 'plant.b=1,2', '--out', 's.csv', '-j', '-2'),
+    ('--over', 'plant.b=1,2', '--out', 's.csv', '--duration', '0')])
+def test_nonsense_is_one_line_and_leaves_no_file(words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(['sweep', 'wang2004', *words]) == 2
+    assert capsys.readouterr().err.count('\n') == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_plot_of_nothing(tmp_path, capsys):
+    assert main(['sweep', 'plot']) == 2
+    assert main(['sweep', 'plot', str(tmp_path / 'none.csv')]) == 2
+    assert 'no such file' in capsys.readouterr().err
+
+
+def test_without_dask_the_cluster_is_refused(monkeypatch):
+    monkeypatch.setattr(pool, 'find_spec', lambda name: None)
+    with pytest.raises(MissingDependencyError, match=r'dz_ros\[cluster\]'):
+        list(pool.execute([(abs, (-1,))], cluster='tcp://127.0.0.1:1'))
+
+
+def test_results_carry_their_place():
+    assert sorted(pool.execute([(abs, (-place,)) for place in range(5)], 1)) == [
+        (place, place) for place in range(5)]
+
+
+@pytest.fixture
+def cluster(processes):
+    """Start a real scheduler and two workers as processes; return address and workers."""
+    pytest.importorskip('distributed', reason='dask.distributed is not installed: no cluster')
+    scheduler = processes('-m', 'distributed.cli.dask_scheduler', '--host', '127.0.0.1', '--port',
+                          '0', '--no-dashboard')
+    line = scheduler.wait_for_line('Scheduler at:')
+    address = line.rpartition(' ')[2].strip()
+    workers = [processes('-m', 'distributed.cli.dask_worker', address, '--nthreads', '1',
+                         '--no-nanny', '--no-dashboard', '--name', f'worker{i}')
+               for i in range(2)]
+    for worker in workers:
+        worker.wait_for_line('Registered to')
+    return address, workers
+
+
+def test_a_killed_worker_loses_no_result(cluster, tmp_path, monkeypatch):
+    address, workers = cluster
+    monkeypatch.setattr(module, 'CHUNK', 1)
+    monkeypatch.setattr(pool, 'PATIENCE', 60)
+    plan = plan_of('controller.epsilon=0.01:0.05:12')
+    killed = []
+
+    def kill_one(done, _total, _what):
+        if done >= 3 and not killed:
+            os.kill(workers[0].pid, signal.SIGKILL)
+            killed.append(done)
+
+    run_sweep(plan, tmp_path / 'cluster.csv', cluster=address, progress=kill_one)
+    assert killed
+    assert workers[0].wait() == -signal.SIGKILL
+    run_sweep(plan, tmp_path / 'here.csv', 1)
+    assert (tmp_path / 'cluster.csv').read_bytes() == (tmp_path / 'here.csv').read_bytes()
+
+
+def test_no_scheduler_is_one_line():
+    pytest.importorskip('distributed', reason='dask.distributed is not installed: no cluster')
+    code = ('import dz_ros.studies.pool as pool, sys; pool.PATIENCE = 1\n'
+            'from dz_ros.errors import ConfigurationError\n'
+            'try: list(pool.execute([(abs, (1,))], cluster="tcp://127.0.0.1:9"))\n'
+            'except ConfigurationError as error: sys.exit("no scheduler" not in str(error))\n'
+            'sys.exit(3)')
+    assert subprocess.run([sys.executable, '-c', code], timeout=60, check=False,
+                          capture_output=True).returncode == 0

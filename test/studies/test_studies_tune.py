@@ -1,0 +1,90 @@
+"""Proposed gains obey the rules they are made from, and hold what they promise in simulation."""
+
+import json
+
+import pytest
+
+from dz_ros.cli.main import main
+from dz_ros.core.boundary_layer import chatter_limit
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.design_rules import check
+from dz_ros.core.finding import ERROR
+from dz_ros.core.loop import simulate
+from dz_ros.errors import ConfigurationError
+from dz_ros.files import load_configuration
+from dz_ros.studies.tune import tune
+
+
+@pytest.fixture(autouse=True)
+def plain(monkeypatch):
+    """Compile nothing: the runs are short."""
+    monkeypatch.setattr('dz_ros.core.compiled.available', lambda: False)
+
+
+def tuned(name='wang2004', *overrides, **settings):
+    return tune(load_configuration(name, ['loop.duration=8', *overrides]), **settings)
+
+
+def test_the_paper_s_k_star_comes_out_of_its_bounds():
+    found = tuned()
+    gains = found.after.law.gains
+    assert gains.k_star == pytest.approx(2.5, abs=1e-3)
+    assert gains.k_d == 10.0
+    steep = gains.k_d + gains.k_star / gains.epsilon + gains.lambda_ * gains.phi_0
+    assert steep * 1.25 * 0.005 == pytest.approx(0.5 * chatter_limit(1))
+
+
+@pytest.mark.parametrize(('name', 'overrides'), [
+    ('wang2004', ()), ('robust', ()), ('pendulum', ()), ('first_order', ()),
+    ('wang2004', ('loop.delay=2', 'controller.epsilon=0.01')),
+    ('robust', ('controller.b_bounds=[0.5, 2.0]',))])
+def test_no_rule_finds_an_error_and_the_loop_is_calm(name, overrides):
+    found = tuned(name, *overrides)
+    assert all(item.level != ERROR for item in check(found.after))
+    assert all(not row['lost'] for key, row in found.rows.items() if key.startswith('after'))
+    assert set(found.reasons) <= set(found.after.to_flat())
+
+
+def test_more_delay_means_a_wider_layer_and_ends_the_chatter():
+    found = tuned('wang2004', 'loop.delay=2')
+    assert found.after.law.gains.epsilon > 0.02
+    before, after = (found.rows[f'{name}, delay 2'] for name in ('before', 'after'))
+    assert after['v_variation'] < 0.2 * before['v_variation']
+
+
+def test_effort_is_kept():
+    found = tuned(effort=12.0)
+    assert abs(simulate(found.after).v).max() <= 12.0
+    assert found.after.law.gains.lambda_ < 1.0
+    with pytest.raises(ConfigurationError, match='least peak'):
+        tuned(effort=0.01)
+
+
+def test_projection_contains_the_true_parameters():
+    found = tuned('robust', 'controller.b_bounds=[0.5, 2.0]')
+    gains = found.after.law.gains
+    for b, m in ((0.5, 0.85), (2.0, 1.25)):
+        assert gains.phi_min < 1.0 / (b * m) < gains.phi_max
+        assert gains.theta_min[0] < 1.0 / (b * m) < gains.theta_max[0]
+    assert gains.rho_0 == pytest.approx(gains.k_star - 0.875 / 0.85)
+
+
+def test_a_law_without_a_robust_gain_is_refused():
+    with pytest.raises(ConfigurationError, match='has no k'):
+        tune(Configuration.from_flat({'controller.law': 'pid'}))
+
+
+def test_the_command_line_writes_what_it_proposes(tmp_path, capsys):
+    out = tmp_path / 'tuned.yaml'
+    words = ['tune', 'wang2004', '--duration', '6', '--set', 'loop.delay=1']
+    assert main([*words, '--out', str(out)]) == 0
+    text = capsys.readouterr().out
+    assert 'controller.epsilon = 0.0' in text
+    assert 'after, delay 1' in text
+    assert main([*words, '--json']) == 0
+    found = json.loads(capsys.readouterr().out)
+    written = load_configuration(out).to_flat()
+    assert all(written[key] == value for key, value in found['proposed'].items())
+    assert main([*words, '--out', str(out)]) == 2
+    assert main(['tune', 'wang2004', '--effort', '-1']) == 2
+    assert capsys.readouterr().err.count('\n') == 2

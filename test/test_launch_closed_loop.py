@@ -1,0 +1,91 @@
+"""launch/closed_loop.launch.py, run with stand-ins for launch, which has no wheels."""
+
+import importlib.util
+from pathlib import Path
+import sys
+import types
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+FILE = ROOT / 'launch' / 'closed_loop.launch.py'
+PEERS = ['plant_node', 'controller_node', 'trajectory_node']
+
+
+class Made:
+    """Whatever a launch file makes: what it is made of is kept."""
+
+    def __init__(self, *positional, **named):
+        self.positional, self.named = positional, named
+
+    def perform(self, context):
+        return context[self.positional[0]]
+
+
+@pytest.fixture
+def launch_file(monkeypatch):
+    kinds = {'launch': ['LaunchDescription'],
+             'launch.actions': ['DeclareLaunchArgument', 'EmitEvent', 'OpaqueFunction',
+                                'RegisterEventHandler'],
+             'launch.event_handlers': ['OnProcessExit'], 'launch.events': ['Shutdown'],
+             'launch.substitutions': ['LaunchConfiguration'], 'launch_ros': [],
+             'launch_ros.actions': ['Node']}
+    for name, classes in kinds.items():
+        module = types.ModuleType(name)
+        for kind in classes:
+            setattr(module, kind, type(kind, (Made,), {}))
+        monkeypatch.setitem(sys.modules, name, module)
+    index = types.ModuleType('ament_index_python.packages')
+    index.get_package_share_directory = lambda package: str(ROOT)
+    monkeypatch.setitem(sys.modules, 'ament_index_python.packages', index)
+    spec = importlib.util.spec_from_file_location('closed_loop_launch', FILE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def started(launch_file, **given):
+    """Executable → node, for these arguments; check that each one's end ends the launch."""
+    defaults = {item.positional[0]: item.named['default_value']
+                for item in launch_file.generate_launch_description().positional[0]
+                if type(item).__name__ == 'DeclareLaunchArgument'}
+    assert set(given) <= set(defaults)
+    actions = launch_file.nodes({**defaults, **given})
+    nodes = [item for item in actions if type(item).__name__ == 'Node']
+    watched = [item.positional[0] for item in actions if item not in nodes]
+    assert [handler.named['target_action'] for handler in watched] == nodes
+    for handler in watched:
+        (end,) = handler.named['on_exit']
+        assert type(end.named['event']).__name__ == 'Shutdown'
+    return {node.named['executable']: node.named for node in nodes}
+
+
+def test_defaults_start_three_nodes_of_the_recommended_configuration(launch_file):
+    nodes = started(launch_file)
+    assert list(nodes) == PEERS
+    for name, node in nodes.items():
+        config, settings = node['parameters']
+        assert node['name'] == name
+        assert Path(config) == ROOT / 'config' / 'robust.yaml'
+        assert settings == {'loop.peers': PEERS}
+
+
+def test_arguments_reach_every_node(launch_file, tmp_path):
+    file = tmp_path / 'mine.yaml'
+    file.write_text('')
+    nodes = started(launch_file, config=str(file), duration='60', record='relative',
+                    namespace='left')
+    assert list(nodes) == [*PEERS, 'recorder_node']
+    for node in nodes.values():
+        config, settings = node['parameters']
+        assert (config, node['namespace']) == (str(file), 'left')
+        assert settings['loop.duration'] == 60.0
+        assert settings['loop.peers'] == [*PEERS, 'recorder_node']
+    assert nodes['recorder_node']['parameters'][1]['directory'] == str(Path('relative').absolute())
+
+
+@pytest.mark.parametrize('given', [{'duration': 'long'}, {'config': 'none_of_that_name'}])
+def test_mistakes_are_named(launch_file, given):
+    ((key, value),) = given.items()
+    with pytest.raises(RuntimeError, match=f'{key}:={value}: '):
+        started(launch_file, **given)
