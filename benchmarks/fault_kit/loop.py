@@ -39,7 +39,6 @@ class Loop:
     """
 
     def __init__(self, configuration: Configuration, parameters: Path,
-                 environment: dict[str, str] | None = None,
                  prefix: dict[str, Sequence[str]] | None = None,
                  remap: dict[str, Sequence[str]] | None = None) -> None:
         self.configuration = configuration
@@ -49,7 +48,7 @@ class Loop:
         self.modes: dict[str, list[tuple[float, str, str]]] = {name: [] for name in NODES}
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self._parameters = parameters
-        self._environment = {**os.environ, 'PYTHONPATH': str(ROOT), **(environment or {})}
+        self._environment = {**os.environ, 'PYTHONPATH': str(ROOT)}
         self._prefix, self._remap = prefix or {}, remap or {}
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node('fault_bench')

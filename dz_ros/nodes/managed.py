@@ -147,8 +147,7 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
         def do() -> None:
             self.active = False
             self.change_life('shutdown')
-            self.flush()
-            self.stopping = True
+            self.stopping = True        # what was published is delivered on closing
         return self._attempt(do)
 
     def _attempt(self, do: Callable[[], None]) -> Any:
