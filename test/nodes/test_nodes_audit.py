@@ -1,0 +1,48 @@
+"""Gains changed in a live loop are in its recording, and the audit follows them bit for bit."""
+
+import pytest
+
+from dz_ros.analysis.audit import audit
+from dz_ros.recording.reader import read_run
+
+rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
+
+
+def set_parameters(**values):
+    """Set parameters of the controller one by one; return whether each was taken."""
+    from rcl_interfaces.srv import SetParameters
+    context = rclpy.Context()
+    context.init()
+    node = rclpy.create_node('setter', context=context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    try:
+        client = node.create_client(SetParameters, '/controller_node/set_parameters')
+        assert client.wait_for_service(60.0)
+        taken = []
+        for name, value in values.items():
+            message = rclpy.parameter.Parameter(f'controller.{name}', value=value)
+            future = client.call_async(
+                SetParameters.Request(parameters=[message.to_parameter_msg()]))
+            executor.spin_until_future_complete(future, 60.0)
+            taken.append(future.result().results[0].successful)
+        return taken
+    finally:
+        executor.shutdown()
+        node.destroy_node()
+        context.shutdown()
+
+
+def test_live_gain_changes_are_followed_by_the_audit(processes, tmp_path):
+    run = processes('-m', 'dz_ros', 'run', 'wang2004', '--duration', '0', '--record',
+                    tmp_path / 'run')
+    run.wait_for_line('v ')
+    assert set_parameters(k_d=14.0, gamma=-1.0, epsilon=0.03) == [True, False, True]
+    seen = run.output.count('error ')
+    while run.output.count('error ') <= seen + 1:   # a second or two with the new gains
+        run.wait_for_line('v ')
+    assert run.interrupt() == 0, run.output
+    result = audit(read_run(tmp_path / 'run'))
+    assert result.passed, result
+    assert len(result.spans) >= 3      # one more wherever the loop had to take over again
