@@ -36,8 +36,9 @@ from fault_kit.loop import Loop, NODES  # noqa: E402
 
 from dz_ros.files import load_configuration, write_parameters  # noqa: E402
 
-SETTINGS = ['loop.duration=0', 'controller.law=robust', 'trajectory.kind=sinusoid',
-            'trajectory.amplitude=1.0', 'trajectory.frequency=2.0', 'plant.x0=[0.0, 2.0]',
+SETTINGS = ['loop.duration=0', 'controller.law=robust', 'controller.k_star=1.45',
+            'controller.rho_0=0.25', 'trajectory.kind=sinusoid', 'trajectory.amplitude=1.0',
+            'trajectory.frequency=2.0', 'plant.x0=[0.0, 2.0]',
             'safety.command_limit=30', 'controller.v_max=30']
 SETTLE = 3.0
 BOUND = 5.0

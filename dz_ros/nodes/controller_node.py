@@ -11,6 +11,7 @@ import time
 
 from rcl_interfaces.msg import ParameterDescriptor
 
+from dz_ros.core.configuration import Configuration
 from dz_ros.core.records import Command, Reference, State, Terms
 from dz_ros.core.safety.controller_guard import Answer, ControllerGuard
 from dz_ros.core.safety.health import LawHealth, Pace, percentiles, Rejections, Report, say_state
@@ -33,7 +34,7 @@ class ControllerNode(GuardedNode):
 
     def __init__(self) -> None:
         super().__init__('controller_node', 'loop', 'structure', 'controller', 'safety')
-        refuse_bad_design(self, self.configuration)
+        self.vet(self.configuration)
         self._guard = ControllerGuard(self.configuration, self.changed, self._begins)
         self._order = self.configuration.plant.order
         self._pace = Pace(self.configuration.loop.period)
@@ -114,6 +115,14 @@ class ControllerNode(GuardedNode):
                     raise LoopError(f'no reference for sample {state.seq} within '
                                     f'{GONE_NS * 1e-9:g} s: the trajectory is gone')
         return False
+
+    def vet(self, configuration: Configuration) -> None:
+        """Ask the design rules.
+
+        Raises:
+            ConfigurationError: They find an error.
+        """
+        refuse_bad_design(self, configuration)
 
     def reconfigure(self) -> None:
         """Use other gains and limits from the next sample on, and say so."""

@@ -108,6 +108,13 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
     def change_life(self, name: str) -> None:
         """Hear of a transition of the life: configure, cleanup, activate, deactivate, shutdown."""
 
+    def vet(self, configuration: Configuration) -> None:
+        """Look whether the node would run with a configuration.
+
+        Raises:
+            DzRosError: It would not.
+        """
+
     def reconfigure(self) -> None:
         """Use `configuration`, which has changed, from now on."""
 
@@ -196,6 +203,7 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
             return SetParametersResult(successful=True)
         try:
             found = Configuration.from_flat({**flat, **values})
+            self.vet(found)
         except DzRosError as error:
             return SetParametersResult(successful=False, reason=str(error))
         before, after = self.configuration.law, found.law
