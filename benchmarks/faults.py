@@ -101,8 +101,7 @@ def observe(case: Case, loop: Loop, window: float, outcome: Outcome) -> None:
         before = min(before, loop.error(window))
         if loop.running() and before < STEADY:
             break
-        if not loop.running():
-            loop.reset()
+        loop.reset()
     states, truths, began = len(loop.heard['state']), len(loop.heard['truth']), time.monotonic()
     case.inject(loop)
     loop.until(lambda: len(loop.heard['state']) > states + 100, 10.0)
@@ -128,8 +127,7 @@ def observe(case: Case, loop: Loop, window: float, outcome: Outcome) -> None:
         after = loop.error(window)
         if after <= max(SLACK * before, before + FLOOR):
             break
-        if not loop.running():
-            loop.reset()
+        loop.reset()        # the law's own latch, if a stall of the machine has fired it
     outcome.largest = f'{loop.largest(states):.2f}'
     outcome.error = f'{before * 1e3:.2f} → {after * 1e3:.2f} in {loop.now() - since:.0f} s'
     wrong = []
@@ -219,6 +217,29 @@ def table(outcomes: list[Outcome]) -> str:
     return '\n'.join(lines)
 
 
+def summary(outcomes: list[Outcome]) -> str:
+    """Return the table below a line that says what it was measured on."""
+    load, nice = os.getloadavg()[0], os.getpriority(os.PRIO_PROCESS, 0)
+    return (f'Measured on {describe("ros-rclpy", "numpy")}, load {load:.1f}, nice {nice}.'
+            f'\n\n{table(outcomes)}')
+
+
+def write(text: str) -> None:
+    """Put the table into the document; rows that were not measured now stay."""
+    path = ROOT / 'docs' / 'safety.md'
+    head, _, rest = path.read_text(encoding='utf-8').partition(BEGIN)
+    old, _, tail = rest.partition(END)
+    rows = {line.split('|')[1].strip(): line for line in old.splitlines() if line.startswith('| ')}
+    rows.update({line.split('|')[1].strip(): line for line in text.splitlines()
+                 if line.startswith('| ')})
+    names = ['fault', *(case.name for case in CASES)]
+    lines = [rows[name] for name in names if name in rows]
+    lines.insert(1, '|---|---|---|---|---|---|---|')
+    about = next(line for line in text.splitlines() if line.startswith('Measured'))
+    body = '\n'.join([about, '', *lines])
+    path.write_text(f'{head}{BEGIN}\n{body}\n{END}{tail}', encoding='utf-8')
+
+
 def main() -> int:
     """Inject the faults asked for; return how many did not end as they must."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -238,27 +259,19 @@ def main() -> int:
         if arguments.only not in case.name:
             continue
         if case.everywhere and not arguments.step_clock:
-            outcomes.append(Outcome(case.name, case.must, verdict=f'skipped: {case.everywhere}'))
-            continue
-        again = case.two_hosts and os.environ.get('DZ_FAULT_HOST') != 'A'
-        outcome = in_two_hosts(case, arguments.window) if again else run_case(
-            case, arguments.window)
+            outcome = Outcome(case.name, case.must, verdict=f'skipped: {case.everywhere}')
+        elif case.two_hosts and os.environ.get('DZ_FAULT_HOST') != 'A':
+            outcome = in_two_hosts(case, arguments.window)
+        else:
+            outcome = run_case(case, arguments.window)
         outcomes.append(outcome)
         print(json.dumps(vars(outcome)) if arguments.json else
               f'{outcome.name}: {outcome.verdict}   [safe after {outcome.safe or "-"}; '
               f'{outcome.modes}; {outcome.error} mrad]', flush=True)
-    if arguments.json:
-        return 0
-    load = os.getloadavg()[0]
-    nice = os.getpriority(os.PRIO_PROCESS, 0)
-    text = (f'Measured on {describe("ros-rclpy", "numpy")}, load {load:.1f}, nice {nice}.'
-            f'\n\n{table(outcomes)}')
-    print('\n' + text)
-    if arguments.write:
-        path = ROOT / 'docs' / 'safety.md'
-        old = path.read_text(encoding='utf-8')
-        head, rest = old.split(BEGIN)
-        path.write_text(f'{head}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}', encoding='utf-8')
+        if arguments.write:
+            write(summary(outcomes))    # one by one: what was measured stays if this is ended
+    if not arguments.json:
+        print('\n' + summary(outcomes))
     return sum(item.verdict.startswith('FAILED') for item in outcomes)
 
 
