@@ -10,6 +10,7 @@
     │   ├── RunNotFoundError        nothing there                         (also FileNotFoundError)
     │   └── DamagedRunError         cut off or corrupted: says what to do
     └── LoopError                   the running loop: peers, topics, nodes(also RuntimeError)
+        └── DriverError             a device that is not there or refuses
 
 The library raises; the command line prints the message, which is one line, and returns 2.
 """
@@ -84,6 +85,10 @@ class DamagedRunError(RecordingError):
 
 class LoopError(DzRosError, RuntimeError):
     """The running loop cannot start or go on."""
+
+
+class DriverError(LoopError):
+    """A device is not there, is another one, refuses, or has gone."""
 
 
 NO_RCLPY = ('rclpy is not installed here: source an installed ROS 2 Jazzy, or '

@@ -3,8 +3,9 @@
     loop.rate  plant.model  plant.dead_zone.b_r  controller.lambda  trajectory.kind  …
 
 The same keys are the ROS parameters of the nodes, the keys of the YAML files and those of
-``--set``. In the sections plant, controller and trajectory one key chooses a class (`plant.model`,
-`controller.law`, `trajectory.kind`) and the rest are that class's own parameters. A key that only
+``--set``. In the sections plant, controller, trajectory and driver one key chooses a class
+(`plant.model`, `controller.law`, `trajectory.kind`, `driver.name`) and the rest are that class's
+own parameters. A key that only
 another class of the same section knows is set aside, not refused, so that the law of a file can
 be changed by one word; a key nobody knows is an error.
 """
@@ -18,6 +19,7 @@ from typing import Any
 
 from dz_ros.core import schema
 from dz_ros.core.deadzone import DeadZone
+from dz_ros.core.driver import Driver, DRIVERS, DriverSettings
 from dz_ros.core.laws import LAWS
 from dz_ros.core.laws.base import Law
 from dz_ros.core.plants import PLANTS
@@ -148,10 +150,11 @@ SECTIONS: Mapping[str, tuple[type, Registry | None, str]] = {
     'plant': (PlantSettings, PLANTS, 'Parameters'),
     'controller': (ControllerSettings, LAWS, 'Gains'),
     'trajectory': (TrajectorySettings, TRAJECTORIES, 'Parameters'),
+    'driver': (DriverSettings, DRIVERS, 'Parameters'),
 }
 """Section → (its settings, registry of the classes it chooses from, their parameter group)."""
 
-SELECTORS = {'plant': 'model', 'controller': 'law', 'trajectory': 'kind'}
+SELECTORS = {'plant': 'model', 'controller': 'law', 'trajectory': 'kind', 'driver': 'name'}
 
 
 @dataclass(frozen=True)
@@ -159,11 +162,13 @@ class Configuration:
     """A checked configuration, ready to run.
 
     Attributes:
-        loop, safety, plant_settings, controller_settings, trajectory_settings: Common settings.
+        loop, safety, plant_settings, controller_settings, trajectory_settings,
+            driver_settings: Common settings.
         dead_zone: The actuator's dead-zone.
         plant: The plant.
         law: The law, for this plant's structure and this rate.
         trajectory: The trajectory, for this plant's order.
+        driver_class, driver_parameters: What `make_driver` makes.
         x0: Initial state, shape (n,).
         noise: Standard deviations of the measurement noise, shape (n,).
         set_aside: Keys given that belong to another class of their section.
@@ -174,10 +179,13 @@ class Configuration:
     plant_settings: PlantSettings
     controller_settings: ControllerSettings
     trajectory_settings: TrajectorySettings
+    driver_settings: DriverSettings
     dead_zone: DeadZone
     plant: Plant
     law: Law
     trajectory: Trajectory
+    driver_class: type[Driver]
+    driver_parameters: Any
     x0: tuple[float, ...]
     noise: tuple[float, ...]
     set_aside: tuple[str, ...] = field(default=())
@@ -227,8 +235,21 @@ class Configuration:
         if len(noise) != plant.order:
             raise ConfigurationError('plant.noise', list(noise), 'must have 1 or '
                                      f'{plant.order} numbers')
-        return cls(loop, built['safety'][0], settings, controller, trajectory_settings, dead_zone,
-                   plant, law, trajectory, x0, noise, tuple(set_aside))
+        driver_settings, driver_class, driver_parameters = built['driver']
+        if driver_class.order not in (0, plant.order):
+            raise ConfigurationError('driver.name', driver_class.name, 'closes loops of order '
+                                     f'{driver_class.order}, plant.model = {settings.model!r} has '
+                                     f'order {plant.order}')
+        if loop.timing == 'lockstep' and not driver_class.lockstep:
+            raise ConfigurationError('loop.timing', loop.timing, 'must be realtime with '
+                                     f'driver.name = {driver_class.name!r}, a device keeps time')
+        return cls(loop, built['safety'][0], settings, controller, trajectory_settings,
+                   driver_settings, dead_zone, plant, law, trajectory, driver_class,
+                   driver_parameters, x0, noise, tuple(set_aside))
+
+    def make_driver(self) -> Driver:
+        """Return the configured driver; nothing is opened yet."""
+        return self.driver_class(self.driver_parameters, self)
 
     def to_flat(self) -> dict[str, Any]:
         """Return every key of this configuration with its value; arrays as lists."""
@@ -236,6 +257,7 @@ class Configuration:
                   'plant': (self.plant_settings, self.plant.parameters),
                   'controller': (self.controller_settings, self.law.gains),
                   'trajectory': (self.trajectory_settings, self.trajectory.parameters),
+                  'driver': (self.driver_settings, self.driver_parameters),
                   'plant.dead_zone': (self.dead_zone,)}
         return {f'{prefix}.{name}': value for prefix, members in groups.items()
                 for group in members for name, value in schema.to_dict(group).items()}

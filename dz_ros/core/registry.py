@@ -1,8 +1,8 @@
-"""Finding plants, trajectories and laws by name: ours, installed ones, ``package.module:Name``.
+"""Finding plants, trajectories, laws and drivers by name: ours, installed ones, ``module:Name``.
 
 A package of yours adds its own by an entry point in the group ``dz_ros.plants``,
-``dz_ros.trajectories`` or ``dz_ros.laws`` (``name = package.module:Class``); without installing
-anything, a configuration may name ``package.module:Class`` directly.
+``dz_ros.trajectories``, ``dz_ros.laws`` or ``dz_ros.drivers`` (``name = package.module:Class``);
+without installing anything, a configuration may name ``package.module:Class`` directly.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class Registry:
         key: Configuration key that chooses, e.g. ``plant.model``.
         group: Entry-point group.
         base: Class the things derive from.
-        builtin: Name → class, those that ship with dz_ros.
+        builtin: Name → class, or → ``module:Class`` loaded when asked for; those of dz_ros.
     """
 
     kind: str
@@ -46,9 +46,9 @@ class Registry:
             UnknownNameError: No such name, it cannot be imported, it is something else, or it
                 lacks something that every one must define.
         """
-        if name in self.builtin:
-            return self.builtin[name]
-        target = name if ':' in name else self.installed().get(name)
+        target = self.builtin.get(name) or (name if ':' in name else self.installed().get(name))
+        if isinstance(target, type):
+            return target
         if target is None:
             known = ', '.join([*self.builtin, *self.installed()])
             raise UnknownNameError(self.key, name, f'no such {self.kind}; known: {known}; '
@@ -69,8 +69,8 @@ class Registry:
 
     def all(self) -> dict[str, Any]:
         """Return name → class, or → the error that keeps one from loading."""
-        found: dict[str, Any] = dict(self.builtin)
-        for name in self.installed():
+        found: dict[str, Any] = {}
+        for name in (*self.builtin, *self.installed()):
             try:
                 found[name] = self.load(name)
             except UnknownNameError as error:

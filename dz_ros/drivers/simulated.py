@@ -9,12 +9,15 @@ if need be, and the plant is integrated piece by piece between those instants (R
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 import math
+from typing import Any
 
 import numpy as np
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.deadzone import dead_zone, residual
+from dz_ros.core.driver import Driver
 from dz_ros.core.integration import make_advance
 from dz_ros.core.records import Truth
 from dz_ros.errors import LoopError
@@ -23,10 +26,16 @@ SNAP = 1e-9
 """Pieces of a sample closer than this to the whole sample, or to nothing, are that [s]."""
 
 
-class SimulatedActuator:
+@dataclass(frozen=True)
+class SimulatedParameters:
+    """None of its own: the sections plant and loop say it all."""
+
+
+class SimulatedActuator(Driver):
     """A plant behind a dead-zone that takes commands and is measured.
 
     Args:
+        parameters: None of its own.
         configuration: Plant, dead-zone, initial state, noise, delay, command limit, seed.
 
     Attributes:
@@ -35,7 +44,14 @@ class SimulatedActuator:
         held: Command the actuator holds now.
     """
 
-    def __init__(self, configuration: Configuration) -> None:
+    name = 'simulated'
+    summary = 'the configured plant behind its dead-zone, without any hardware'
+    order = 0
+    lockstep = True
+    Parameters = SimulatedParameters
+
+    def __init__(self, parameters: Any, configuration: Configuration) -> None:
+        super().__init__(parameters, configuration)
         c = configuration
         self.x = list(c.x0)
         self.t = 0.0
@@ -56,6 +72,7 @@ class SimulatedActuator:
 
     def configure(self, configuration: Configuration) -> None:
         """Give plant and dead-zone other parameters from now on; the structure is the same."""
+        super().configure(configuration)
         self._plant = configuration.plant.constants
         self._zone = configuration.dead_zone.constants
 

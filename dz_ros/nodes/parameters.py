@@ -105,7 +105,7 @@ def configure(node: Node, *sections: str) -> Configuration:
     Args:
         node: The node.
         *sections: Of loop, safety, plant, structure (the plant's model and parameters alone,
-            which is what a controller may know of it), controller, trajectory.
+            which is what a controller may know of it), controller, trajectory, driver.
 
     Raises:
         ConfigurationError: A key nobody knows or a value that is not allowed.
@@ -123,6 +123,7 @@ def configure(node: Node, *sections: str) -> Configuration:
         'controller': (('controller', c.controller_settings), ('controller', c.law.gains)),
         'trajectory': (('trajectory', c.trajectory_settings),
                        ('trajectory', c.trajectory.parameters)),
+        'driver': (('driver', c.driver_settings), ('driver', c.driver_parameters)),
     }
     for section in sections:
         for prefix, group in groups[section]:

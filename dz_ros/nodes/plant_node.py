@@ -24,7 +24,6 @@ from dz_ros.core.records import Command, State, Truth
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
 from dz_ros.core.safety.health import Pace, percentiles, Rejections, Report, say_state
 from dz_ros.core.safety.supervisor import Supervisor
-from dz_ros.drivers.simulated import SimulatedActuator
 from dz_ros.errors import LoopError
 from dz_ros.nodes.guarded import GuardedNode
 from dz_ros.runtime.deadlines import Deadlines
@@ -43,7 +42,7 @@ class PlantNode(GuardedNode):
     def __init__(self) -> None:
         super().__init__('plant_node', 'loop', 'plant', 'safety')
         self._period = self.configuration.loop.period
-        self._actuator = SimulatedActuator(self.configuration)
+        self._actuator = self.configuration.make_driver()
         self._guard = ActuatorGuard(self.configuration.safety, self._period, not self.lockstep,
                                     self.changed)
         self._start_ns: int | None = None

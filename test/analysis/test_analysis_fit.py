@@ -14,7 +14,6 @@ from dz_ros.core.dataset import Channel, from_run, RunData
 from dz_ros.core.loop import simulate
 from dz_ros.core.plants import PLANTS
 from dz_ros.core.records import Command, State
-from dz_ros.drivers.simulated import SimulatedActuator
 from dz_ros.errors import ConfigurationError, RecordingError
 
 NOISY = {'loop.duration': 8.0, 'plant.noise': [1e-3, 1e-2]}
@@ -74,7 +73,7 @@ def test_commands_in_the_middle_of_a_sample():
     """A plant moved by commands that arrive late, as over topics; the driver is the judge."""
     c = configured(**{'loop.duration': 6.0, 'plant.noise': [0.0]})
     generator = np.random.default_rng(3)
-    actuator, period = SimulatedActuator(c), c.loop.period
+    actuator, period = c.make_driver(), c.loop.period
     states, commands, trip = [], [], 0.0
     for k in range(1200):
         if k:

@@ -6,7 +6,6 @@ from scipy.integrate import solve_ivp
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.loop import simulate
-from dz_ros.drivers.simulated import SimulatedActuator
 
 
 @pytest.mark.parametrize('overrides', [
@@ -16,7 +15,7 @@ from dz_ros.drivers.simulated import SimulatedActuator
 def test_commands_at_the_samples_repeat_the_offline_loop(overrides):
     configuration = Configuration.from_flat({'loop.duration': 1.0, **overrides})
     run = simulate(configuration)
-    actuator = SimulatedActuator(configuration)
+    actuator = configuration.make_driver()
     period = configuration.loop.period
     for k in range(len(run.t) - 1):
         assert actuator.measure() == tuple(run.x_measured[k])
@@ -29,7 +28,7 @@ def test_commands_at_the_samples_repeat_the_offline_loop(overrides):
 
 def test_a_command_in_the_middle_of_a_sample_acts_from_there():
     configuration = Configuration.from_flat({'plant.substeps': 16})
-    actuator = SimulatedActuator(configuration)
+    actuator = configuration.make_driver()
     actuator.command(3.0, 0.0)
     actuator.advance(0.005, 0)
     actuator.command(-4.0, 0.0071)
@@ -48,7 +47,7 @@ def test_a_command_in_the_middle_of_a_sample_acts_from_there():
 
 
 def test_the_newest_of_several_commands_is_held():
-    actuator = SimulatedActuator(Configuration.from_flat({}))
+    actuator = Configuration.from_flat({}).make_driver()
     actuator.command(1.0, 0.0)
     actuator.command(2.0, 0.0)
     actuator.advance(0.005, 0)
@@ -57,7 +56,7 @@ def test_the_newest_of_several_commands_is_held():
 
 def test_several_periods_at_once_are_integrated_in_full():
     configuration = Configuration.from_flat({})
-    together, apart = SimulatedActuator(configuration), SimulatedActuator(configuration)
+    together, apart = configuration.make_driver(), configuration.make_driver()
     for actuator in (together, apart):
         actuator.command(2.0, 0.0)
     together.advance(0.015, 0)
