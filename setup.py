@@ -23,7 +23,7 @@ setup(
     maintainer=maintainer.text,
     maintainer_email=maintainer.get('email'),
     packages=find_packages(include=[name, f'{name}.*']),
-    package_data={name: ['py.typed', 'nodes/fastdds.xml']},
+    package_data={name: ['py.typed', 'nodes/fastdds.xml', 'live/page/*.*', 'live/page/vendor/*.*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
         (f'share/{name}', ['package.xml']),
@@ -71,6 +71,7 @@ setup(
             'trajectory_node = dz_ros.nodes.main:trajectory_node',
             'recorder_node = dz_ros.nodes.main:recorder_node',
             'replay_node = dz_ros.nodes.main:replay_node',
+            'live_node = dz_ros.nodes.main:live_node',
         ],
     },
 )

@@ -22,7 +22,7 @@ from dz_ros.runtime.process import end_with_parent, settle
 NODES = {'plant_node': 'PlantNode', 'controller_node': 'ControllerNode',
          'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode',
          'replay_node': 'ReplayNode', 'feed_node': 'FeedNode',
-         'operator_node': 'OperatorNode'}
+         'operator_node': 'OperatorNode', 'live_node': 'LiveNode'}
 """Executable → class in the module of the same name."""
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 """Environment variables that name a file of profiles for Fast DDS."""
@@ -126,6 +126,11 @@ def recorder_node() -> int:
 def replay_node() -> int:
     """Run the player of a recorded run."""
     return run_node('replay_node')
+
+
+def live_node() -> int:
+    """Run the live page."""
+    return run_node('live_node')
 
 
 if __name__ == '__main__':
