@@ -23,7 +23,8 @@ setup(
     maintainer=maintainer.text,
     maintainer_email=maintainer.get('email'),
     packages=find_packages(include=[name, f'{name}.*']),
-    package_data={name: ['py.typed', 'nodes/fastdds.xml', 'live/page/*.*', 'live/page/vendor/*.*']},
+    package_data={name: ['py.typed', 'nodes/fastdds.xml', 'live/page/*.*',
+                         'live/page/vendor/*.*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
         (f'share/{name}', ['package.xml']),
@@ -48,8 +49,10 @@ setup(
         'numba': ['numba>=0.61'],   # compiles loops off line; the numbers are the same
         'cluster': ['distributed>=2024.1'],     # dz sweep --cluster: many machines
         'parquet': ['pyarrow>=14'],             # dz sweep --out FILE.parquet
-        'test': ['distributed>=2024.1', 'hypothesis>=6.98', 'numba>=0.61', 'pyarrow>=14',
-                 'pytest>=7.4'],
+        'live': ['aiohttp>=3.9'],               # the page in the browser
+        'foxglove': ['foxglove-sdk>=0.14'],     # the same channels for Foxglove and Lichtblick
+        'test': ['aiohttp>=3.9', 'distributed>=2024.1', 'foxglove-sdk>=0.14', 'hypothesis>=6.98',
+                 'numba>=0.61', 'playwright>=1.40', 'pyarrow>=14', 'pytest>=7.4'],
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [
             'catkin-pkg==1.1.1',

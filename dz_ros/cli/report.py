@@ -52,8 +52,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.serve:
         return _serve(arguments, data)
     if arguments.over is not None:
-        raise ConfigurationError('--over', str(arguments.over), 'goes with --serve; dz bag compare '
-                                 'lays runs side by side in a report')
+        raise ConfigurationError('--over', str(arguments.over), 'goes with --serve; dz bag '
+                                 'compare lays runs side by side in a report')
     window = None if arguments.window is None else (arguments.window[0], arguments.window[1])
     view = View.of(data, window=window, kick=arguments.kick)
     page = None

@@ -92,8 +92,10 @@ class Deriver:
         if c is None or c.plant.order != self._layout.order:
             return
         design, settings = c.law.design, c.controller_settings
-        layer = epsilon if epsilon is not None else (
-            design.epsilon if design is not None and design.epsilon > 0.0 else None)
+        layer = epsilon
+        if design is not None and design.epsilon > 0.0:     # of two runs, one may not have it
+            layer = np.full(len(rows), design.epsilon) if epsilon is None else np.where(
+                np.isnan(epsilon), design.epsilon, epsilon)
         if design is not None and layer is not None:
             if s is not None:
                 rows[:, place['s_over_epsilon']] = s / layer

@@ -90,4 +90,5 @@ def pack(kind: int, number: int, rows: Array, run: int, now: float) -> bytes:
         run: Which of several runs.
         now: Server's time [s since the epoch].
     """
-    return HEAD.pack(kind, number, len(rows), run, now) + np.ascontiguousarray(rows, '<f8').tobytes()
+    body = np.ascontiguousarray(rows, '<f8').tobytes()
+    return HEAD.pack(kind, number, len(rows), run, now) + body

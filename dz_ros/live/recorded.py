@@ -60,7 +60,7 @@ class Recorded(Source):
         stated.begin(run.configuration)
         if stated.configuration is not None:
             deriver.state(0.0, stated.configuration)
-        state = run.channels['state'] if 'state' in run.channels else None
+        state = run.channels.get('state')
         for log_time, node, text in run.events:
             try:
                 event = json.loads(text)
@@ -91,7 +91,7 @@ class Recorded(Source):
                  **joined(run.channels.get('command'), found.seq, ('hold',))}
         place = {int(seq): row for row, seq in enumerate(state['seq'].tolist())}
         rows = [place[int(seq)] for seq in found.seq]
-        columns: dict[str, Array] = {
+        columns: dict[str, Any] = {
             'seq': found.seq.astype(float), 'stamp': found.t,
             'published': state.publish_time[rows] * 1e-9, 'v': found.v, **extra,
             **{f'x{i}': found.x[:, i] for i in range(order)},

@@ -11,14 +11,14 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 import json
-import socket
 import time
-from typing import Any, NoReturn
+from typing import Any
 
 from dz_ros.errors import DzRosError, LoopError, MissingDependencyError
 from dz_ros.live.access import Access
 from dz_ros.live.assets import ASSETS, read_assets
 from dz_ros.live.connections import Connections
+from dz_ros.live.requests import HEADERS, parse, POLICY, ProtocolError, result
 from dz_ros.live.source import Source
 from dz_ros.live.viewer import Viewer
 
@@ -32,18 +32,6 @@ FIRST_WORD = 5.0
 """A viewer must have said hello by then [s]."""
 ACTIONS = frozenset(('reset', 'activate', 'deactivate', 'set', 'kick'))
 QUESTIONS = frozenset(('rows', 'histogram'))
-HEADERS = {
-    'X-Content-Type-Options': 'nosniff', 'X-Frame-Options': 'DENY',
-    'Referrer-Policy': 'no-referrer', 'Cache-Control': 'no-store',
-    'Cross-Origin-Opener-Policy': 'same-origin', 'Cross-Origin-Resource-Policy': 'same-origin',
-}
-POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
-          "connect-src 'self' ws://{host}; base-uri 'none'; form-action 'none'; "
-          "frame-ancestors 'none'")
-
-
-class _ProtocolError(Exception):
-    """What a viewer sent is nothing this server understands."""
 
 
 class Server:
@@ -184,7 +172,7 @@ class Server:
                                        timeout=2.0)
         await answer.prepare(request)
         peer = request.remote or '?'
-        viewer = Viewer(answer, request.transport, peer, False)
+        viewer = Viewer(answer, request.transport, peer)
         code, reason = 1008, 'hello expected'
         sender: asyncio.Task[None] | None = None
         try:
@@ -201,7 +189,7 @@ class Server:
             async for message in answer:
                 self._hear(viewer, message)
             code, reason = 1000, ''
-        except _ProtocolError as error:
+        except ProtocolError as error:
             reason = str(error)
         except (ConnectionError, asyncio.TimeoutError):
             pass
@@ -215,11 +203,11 @@ class Server:
 
     async def _first_word(self, answer: Any) -> tuple[str, float]:
         """Return token and seconds of history wanted."""
-        first = _parse(await answer.receive(FIRST_WORD), self._kinds)
+        first = parse(await answer.receive(FIRST_WORD), self._kinds)
         seconds = first.get('seconds', 0)
         if 'hello' not in first or not isinstance(seconds, (int, float)) or not (
                 0 <= seconds < 1e6):
-            raise _ProtocolError('hello expected')
+            raise ProtocolError('hello expected')
         return str(first.get('token', '')), float(seconds)
 
     def _introduce(self, viewer: Viewer, token: str, seconds: float) -> None:
@@ -249,35 +237,35 @@ class Server:
         """Take a request.
 
         Raises:
-            _ProtocolError: It is none, or one too many.
+            ProtocolError: It is none, or one too many.
         """
-        request = _parse(message, self._kinds)
+        request = parse(message, self._kinds)
         if not viewer.budget.spend(time.monotonic()):
-            raise _ProtocolError('too many requests')
+            raise ProtocolError('too many requests')
         what, number = request.get('do'), request.get('id')
         if not isinstance(what, str) or isinstance(number, bool) or not isinstance(number, int) \
                 or not 0 <= number < 2 ** 31:
-            raise _ProtocolError('do and id expected')
+            raise ProtocolError('do and id expected')
         if what == 'estop':     # at once: nothing that is being worked on holds it up
             viewer.say(self._stop(viewer, number))
         elif what in ACTIONS or what in QUESTIONS:
             if viewer.busy:
-                viewer.say(_result(number, False, 'another request is being worked on'))
+                viewer.say(result(number, False, 'another request is being worked on'))
                 return
             viewer.busy = True
             task = asyncio.create_task(self._work(viewer, what, number, request))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
         else:
-            raise _ProtocolError('no such request')
+            raise ProtocolError('no such request')
 
     def _stop(self, viewer: Viewer, number: int) -> dict[str, Any]:
         if not viewer.may_act:
-            return _result(number, False, self._access.why_not(viewer.token))
+            return result(number, False, self._access.why_not(viewer.token))
         try:
-            return {**_result(number, True, ''), **self._source.estop(viewer.name)}
+            return {**result(number, True, ''), **self._source.estop(viewer.name)}
         except DzRosError as error:
-            return _result(number, False, str(error))
+            return result(number, False, str(error))
 
     async def _work(self, viewer: Viewer, what: str, number: int,
                     request: dict[str, Any]) -> None:
@@ -288,39 +276,14 @@ class Server:
                 if isinstance(found, bytes):
                     viewer.give(found)
                     return
-                answer = {**_result(number, True, ''), **found}
+                answer = {**result(number, True, ''), **found}
             elif not viewer.may_act:
-                answer = _result(number, False, self._access.why_not(viewer.token))
+                answer = result(number, False, self._access.why_not(viewer.token))
             else:
-                answer = {**_result(number, True, ''),
+                answer = {**result(number, True, ''),
                           **await self._source.act(viewer.name, request)}
         except DzRosError as error:
-            answer = _result(number, False, str(error))
+            answer = result(number, False, str(error))
         finally:
             viewer.busy = False
         viewer.say(answer)
-
-
-def _result(number: int, ok: bool, message: str) -> dict[str, Any]:
-    """Return the answer to a request."""
-    return {'kind': 'result', 'id': number, 'ok': ok, 'message': message}
-
-
-def _parse(message: Any, kinds: Any) -> dict[str, Any]:
-    """Return what a viewer's text means.
-
-    Raises:
-        _ProtocolError: Nothing.
-    """
-    def refuse(_text: str) -> NoReturn:
-        raise ValueError('not JSON')
-
-    if message.type is not kinds.TEXT:
-        raise _ProtocolError('text expected')
-    try:
-        found = json.loads(message.data, parse_constant=refuse)
-    except (ValueError, RecursionError):
-        raise _ProtocolError('JSON expected') from None
-    if not isinstance(found, dict):
-        raise _ProtocolError('a JSON object expected')
-    return found

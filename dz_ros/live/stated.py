@@ -16,12 +16,14 @@ class Stated:
     Attributes:
         configuration: What the loop runs; None = not known, or not usable here.
         owners: Section → node whose values are the loop's.
+        fresh: Whether what was heard last changed anything of it.
         problem: Why the configuration cannot be used; empty where it can.
     """
 
     def __init__(self) -> None:
         self.configuration: Configuration | None = None
         self.owners: dict[str, str] = {}
+        self.fresh = False
         self.problem = ''
         self._flat: dict[str, Any] = {}
 
@@ -38,13 +40,15 @@ class Stated:
         if not isinstance(told, dict) or not isinstance(listed, list):
             return {}
         owns = [item for item in listed if item in SECTIONS]
-        before = dict(self._flat)
+        before, owners = dict(self._flat), dict(self.owners)
         for key, value in told.items():
             section = key.partition('.')[0]
             if section in owns or section not in self.owners:
                 self._flat[key] = value
         self.owners.update(dict.fromkeys(owns, node))
-        self._build()
+        self.fresh = before != self._flat or owners != self.owners
+        if self.fresh:
+            self._build()
         return {key: value for key, value in self._flat.items()
                 if key.partition('.')[0] in owns and before.get(key, value) != value}
 

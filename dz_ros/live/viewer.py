@@ -49,16 +49,20 @@ class Viewer:
         socket: Its prepared WebSocket.
         transport: The connection below it.
         name: Who it is, for the record of actions.
-        may_act: Whether its commands are heard.
 
     Attributes:
+        token: What it has shown.
+        may_act: Whether its commands are heard.
+        seconds: How much of the past it wants [s].
         cursor: Count of the first row it does not have; None = it has not asked yet.
         busy: Whether a request of its is being worked on.
     """
 
-    def __init__(self, socket: Any, transport: Any, name: str, may_act: bool) -> None:
+    def __init__(self, socket: Any, transport: Any, name: str) -> None:
         self.name = name
-        self.may_act = may_act
+        self.token = ''
+        self.may_act = False
+        self.seconds = 0.0
         self.cursor: int | None = None
         self.generation = -1
         self.busy = False

@@ -13,7 +13,7 @@ import numpy as np
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.errors import MessageError
+from dz_ros.errors import LoopError, MessageError
 from dz_ros.live.columns import Layout
 from dz_ros.live.derived import Deriver
 from dz_ros.live.describe import facts
@@ -170,12 +170,12 @@ class LiveLoop(Source):
 
     def _configure(self, event: Mapping[str, Any], when: float) -> dict[str, Any]:
         """Take over what a node states; return what changed of it."""
-        before, owners = self.configuration, dict(self.owners)
+        known = self.configuration is not None
         changed = self._said.hear(event)
         if self._said.problem:
             self._node.count(f'a configuration that cannot be used here: {self._said.problem}')
         c = self.configuration
-        if c is None or (c == before and owners == self.owners):
+        if c is None or (known and not self._said.fresh):
             return changed
         self._stated.append((when, c))
         self._deriver.state(when, c)
@@ -262,6 +262,6 @@ class LiveLoop(Source):
 
     async def ask(self, request: dict[str, Any]) -> dict[str, Any]:
         """Refuse: everything there is has been sent."""
-        raise MessageError('a running loop sends everything by itself')
+        raise LoopError(f'{request["do"]}: a running loop sends everything by itself')
 
 

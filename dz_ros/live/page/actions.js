@@ -27,7 +27,7 @@ export class Actions {
     this.may = hello.may_act;
     this.why = hello.why_not;
     const live = hello.mode === 'live';
-    this.page.life.hidden = !live;
+    this.page['nodes-panel'].hidden = !live;
     this.page.estop.hidden = !live;
     this.page['kick-panel'].hidden = !live || !hello.simulated;
     document.body.dataset.may = this.may ? 'act' : 'look';

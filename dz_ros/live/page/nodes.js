@@ -6,6 +6,7 @@ const LEVELS = ['ok', 'warn', 'error', 'stale'];
 const SHOWN = ['rate [Hz]', 'period p99 [ms]', 'round trip p99 [ms]', 'state to command p99 [ms]',
                'late by more than 1 ms', 'periods skipped', 'messages lost'];
 const MOST = 200;
+const NEAR = 6;         // an event said again among so many newest ones is counted, not listed
 
 export class Nodes {
   constructor(list, recording) {
@@ -63,6 +64,7 @@ export class Events {
 
   clear() {
     this.found = [];
+    this.stated = new Set();
     this.list.replaceChildren();
   }
 
@@ -70,8 +72,20 @@ export class Events {
     const [text, tint] = this.read(event);
     this.found.push({...event, text, tint});
     if (this.found.length > MOST) this.found.shift();
-    const item = make('li', {}, make('b', {}, `${event.stamp.toFixed(2)} s`), ' ',
-                      make('span', {}, text));
+    if (event.event === 'configuration' && tint === '--grey' && this.stated.has(event.node)) return;
+    this.stated.add(event.node);
+    const stamp = `${event.stamp.toFixed(2)} s`;
+    const twin = [...this.list.children].slice(0, NEAR).find((item) => item.dz.text === text);
+    if (twin) {         // what flickers is one line with a count
+      twin.dz.times += 1;
+      twin.dz.stamp.textContent = stamp;
+      twin.dz.count.textContent = ` ×${twin.dz.times}`;
+      this.list.prepend(twin);
+      return;
+    }
+    const dz = {text, times: 1, stamp: make('b', {}, stamp), count: make('span', {})};
+    const item = make('li', {}, dz.stamp, ' ', make('span', {}, text), dz.count);
+    item.dz = dz;
     item.style.borderColor = `var(${tint})`;
     this.list.prepend(item);
     if (this.list.children.length > MOST) this.list.lastChild.remove();

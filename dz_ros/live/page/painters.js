@@ -118,15 +118,17 @@ export function reach(parts, length) {
   return [low, high];
 }
 
-// Instants at which something happened.
+// Instants at which something happened; those that may come often are ticks at the foot.
 export function marks(u, found) {
   clipped(u, (ctx, bbox) => {
     ctx.lineWidth = devicePixelRatio;
-    for (const {stamp, tint} of found) {
+    const bottom = bbox.top + bbox.height;
+    for (const {stamp, tint, mode} of found) {
       const x = u.valToPos(stamp, 'x', true);
-      ctx.strokeStyle = faded(colour(tint), 0.8);
-      ctx.setLineDash([2 * devicePixelRatio, 3 * devicePixelRatio]);
-      path(u, [[x, bbox.top], [x, bbox.top + bbox.height]]);
+      const small = mode === 'lost';
+      ctx.strokeStyle = faded(colour(tint), 0.85);
+      ctx.setLineDash(small ? [] : [2 * devicePixelRatio, 3 * devicePixelRatio]);
+      path(u, [[x, small ? bottom - 7 * devicePixelRatio : bbox.top], [x, bottom]]);
       ctx.stroke();
     }
   });

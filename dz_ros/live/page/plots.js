@@ -3,13 +3,14 @@
 import uPlot from './vendor/uPlot.esm.js';
 import {frames} from './frames.js';
 import {band, marks, reach, rules, stack} from './painters.js';
-import {colour, faded} from './theme.js';
+import {colour} from './theme.js';
 import {make, withUnit, word} from './words.js';
 
 const PARTS = [['v_damping', '--blue'], ['v_feed_forward', '--green'],
                ['v_regressor', '--yellow'], ['v_robust', '--red'], ['v_extra', '--purple']];
 const TINTS = ['--blue', '--red', '--green', '--yellow', '--purple', '--sky'];
 const DASHED = [6, 4];
+const OTHER = {'--blue': '--purple', '--red': '--grey', '--green': '--sky', '--yellow': '--grey'};
 
 // What can be shown, given the columns that there are.
 export function catalogue(hello) {
@@ -70,10 +71,10 @@ export class Plots {
     for (const [run, name] of this.runs.entries()) {
       for (const item of plot.lines) {
         if (run && plot.stack) continue;
-        series.push({stroke: () => (run ? faded(colour(item.tint), 0.75) : colour(item.tint)),
-                     width: item.wide && !run ? 1.8 : 1.2,
-                     dash: run ? [2, 3] : item.dash, points: {show: false}, spanGaps: false});
-        this.legendItem(shown, item.name, item.tint, run, name, item.dash);
+        const tint = run ? OTHER[item.tint] || '--grey' : item.tint;
+        series.push({stroke: () => colour(tint), width: item.wide ? 1.8 : 1.2,
+                     dash: run ? [3, 3] : item.dash, points: {show: false}, spanGaps: false});
+        this.legendItem(shown, item.name, tint, run, name, item.dash);
       }
     }
     for (const item of plot.stack || []) this.legendItem(shown, item.name, item.tint, 0, '', 'fill');

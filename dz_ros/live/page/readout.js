@@ -55,7 +55,7 @@ export function condition({link, hello, status, statusAt, view, finished}) {
   if (!hello || !link.open) {
     return ['off', 'NOT CONNECTED', link.reason || 'trying again every second'];
   }
-  if (hello.mode === 'run') return ['recorded', 'RECORDED RUN', hello.title];
+  if (hello.mode === 'run') return ['recorded', 'RECORDED', hello.runs.length > 1 ? 'two runs' : ''];
   if (now - link.heard > SILENT) {
     return ['gone', 'NO WORD FROM THE SERVER', `for ${((now - link.heard) / 1e3).toFixed(1)} s`];
   }

@@ -21,6 +21,8 @@ export class View {
   get window() {
     const [first, last] = this.limits;
     const span = this.span || Math.max(last - first, LEAST);
+    // A run that has just begun fills its window from the left.
+    if (this.follow && this.end - span < first) return [first, first + span];
     return [this.end - span, this.end];
   }
 
