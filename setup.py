@@ -51,7 +51,8 @@ setup(
         'parquet': ['pyarrow>=14'],             # dz sweep --out FILE.parquet
         'live': ['aiohttp>=3.9'],               # the page in the browser
         'foxglove': ['foxglove-sdk>=0.14'],     # the same channels for Foxglove and Lichtblick
-        'test': ['aiohttp>=3.9', 'distributed>=2024.1', 'foxglove-sdk>=0.14', 'hypothesis>=6.98',
+        'test': ['aiohttp>=3.9', 'axe-playwright-python>=0.1.4', 'distributed>=2024.1',
+                 'foxglove-sdk>=0.14', 'hypothesis>=6.98',
                  'numba>=0.61', 'playwright>=1.40', 'pyarrow>=14', 'pytest>=7.4'],
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [

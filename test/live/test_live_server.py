@@ -1,6 +1,7 @@
 """The page's server: what a viewer gets, who may act, and what hostile requests do to it."""
 
 import asyncio
+import contextlib
 import json
 import socket
 
@@ -197,7 +198,8 @@ def test_nonsense_ends_that_connection_alone(with_page, nonsense):
 
 
 @pytest.mark.parametrize('first', ['x', '{}', '{"hello": 1, "seconds": "x"}', '[1]',
-                                   '{"hello": 1, "seconds": 1e400}', '{"hello": 1, "seconds": -1}'])
+                                   '{"hello": 1, "seconds": 1e400}',
+                                   '{"hello": 1, "seconds": -1}'])
 def test_who_does_not_say_hello_is_shown_out(with_page, first):
     async def test(page):
         ws = await page.viewer(hello=False)
@@ -259,16 +261,13 @@ def test_there_is_an_end_to_connections_and_to_silence(with_page, monkeypatch):
         while page.server._connections is None or len(page.server._runner.server.connections) < 3:
             await asyncio.sleep(0.01)
         reader, writer = await asyncio.open_connection('127.0.0.1', page.port)
-        with pytest.raises(ConnectionError):        # the fourth is cut off at once
+        with contextlib.suppress(ConnectionError):      # the fourth is cut off at once
             writer.write(b'GET / HTTP/1.1\r\n\r\n')
             await writer.drain()
-            if await reader.read() == b'':
-                raise ConnectionError
+            assert await reader.read() == b''
         for reader, _ in silent:        # the silent ones are cut off a little later
-            try:
+            with contextlib.suppress(ConnectionError):
                 assert await asyncio.wait_for(reader.read(), 20.0) == b''
-            except ConnectionError:
-                pass
         async with page.session.get(page.base + '/') as answer:
             assert answer.status == 200
 

@@ -21,12 +21,14 @@ export function number(value, digits = 4) {
   if (size !== 0 && (size < 1e-4 || size >= 1e6)) {
     return value.toExponential(2).replace('-', '−').replace('e−', 'e−').replace('e+', 'e');
   }
-  const places = Math.max(0, digits - 1 - Math.max(0, Math.floor(Math.log10(size || 1))));
-  return value.toFixed(Math.min(places, size < 1 ? digits : places)).replace('-', '−');
+  const whole = size < 1 ? Math.floor(Math.log10(size || 1)) + 1 : Math.floor(Math.log10(size));
+  const places = size < 1 ? digits - 1 - whole : Math.max(0, digits - 1 - whole);
+  return value.toFixed(places).replace('-', '−');
 }
 
 export function withUnit(value, unit, digits) {
-  return number(value, digits) + (unit ? ` ${unit}` : '');
+  const text = number(value, digits);
+  return unit && text !== '–' ? `${text} ${unit}` : text;
 }
 
 export function seconds(value, places = 2) {
