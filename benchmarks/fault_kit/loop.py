@@ -138,6 +138,11 @@ class Loop:
         return max((abs(row[2] - self.configuration.trajectory(row[1])[0]) for row in rows),
                    default=math.nan)
 
+    def meanwhile(self, since: int) -> float:
+        """Return max |x − x_d| of the states heard after so many."""
+        return max((abs(row[2] - self.configuration.trajectory(row[1])[0])
+                    for _, row in self.heard['state'][since:]), default=math.nan)
+
     def largest(self, since: int) -> float:
         """Return max |x| of the states heard after so many."""
         return max((abs(row[2]) for _, row in self.heard['state'][since:]), default=math.nan)
