@@ -51,9 +51,10 @@ setup(
         'parquet': ['pyarrow>=14'],             # dz sweep --out FILE.parquet
         'live': ['aiohttp>=3.9'],               # the page in the browser
         'foxglove': ['foxglove-sdk>=0.14'],     # the same channels for Foxglove and Lichtblick
+        'serial': ['pyserial>=3.5'],            # driver.name: serial
         'test': ['aiohttp>=3.9', 'axe-playwright-python>=0.1.4', 'distributed>=2024.1',
-                 'foxglove-sdk>=0.14', 'hypothesis>=6.98',
-                 'numba>=0.61', 'playwright>=1.40', 'pyarrow>=14', 'pytest>=7.4'],
+                 'foxglove-sdk>=0.14', 'hypothesis>=6.98', 'numba>=0.61', 'playwright>=1.40',
+                 'pyarrow>=14', 'pyserial>=3.5', 'pytest>=7.4'],
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [
             'catkin-pkg==1.1.1',
@@ -71,6 +72,7 @@ setup(
         'console_scripts': [
             'dz = dz_ros.cli.main:main',
             'plant_node = dz_ros.nodes.main:plant_node',
+            'actuator_node = dz_ros.nodes.main:actuator_node',
             'controller_node = dz_ros.nodes.main:controller_node',
             'trajectory_node = dz_ros.nodes.main:trajectory_node',
             'recorder_node = dz_ros.nodes.main:recorder_node',
