@@ -136,7 +136,7 @@ class LiveOperator:
     async def _change(self, what: str, wanted: Any) -> str:
         """Activate or deactivate one node, or all in the order that keeps the actuator safe."""
         nodes = self._serving('change_state', 'lifecycle_msgs/srv/ChangeState')
-        plant = self._loop.owners.get('plant')
+        plant = self._loop.owners.get('loop')
         # The actuator's end hears the controller end and stays ready; it is the first to start.
         nodes.sort(key=lambda name: name == plant)
         if what == 'activate':
