@@ -71,6 +71,7 @@ setup(
         'console_scripts': [
             'dz = dz_ros.cli.main:main',
             'plant_node = dz_ros.nodes.main:plant_node',
+            'actuator_node = dz_ros.nodes.main:actuator_node',
             'controller_node = dz_ros.nodes.main:controller_node',
             'trajectory_node = dz_ros.nodes.main:trajectory_node',
             'recorder_node = dz_ros.nodes.main:recorder_node',
