@@ -52,8 +52,9 @@ setup(
         'cluster': ['distributed>=2024.1'],     # dz sweep --cluster: many machines
         'parquet': ['pyarrow>=14'],             # dz sweep --out FILE.parquet
         'cia402': CIA402,                       # driver.name: cia402
+        'serial': ['pyserial>=3.5'],            # driver.name: serial
         'test': [*CIA402, 'distributed>=2024.1', 'hypothesis>=6.98', 'numba>=0.61', 'pyarrow>=14',
-                 'pytest>=7.4'],
+                 'pyserial>=3.5', 'pytest>=7.4'],
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [
             'catkin-pkg==1.1.1',

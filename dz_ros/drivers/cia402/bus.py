@@ -31,6 +31,8 @@ NMT_STATES = {0: 'boot-up', 4: 'stopped', 5: 'operational', 127: 'pre-operationa
 NMT, SYNC, EMCY, HEARTBEAT = 0, 0x80, 0x80, 0x700
 BUS_OFF = 0x40
 """Bit of the identifier of an error frame, as Linux numbers them."""
+_AWAKE = 0.03
+"""Whoever looks at the heartbeat less often than this was asleep [s]."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,7 @@ class DriveBus:
     Attributes:
         measurement: The newest; None before the first.
         statusword: The newest; −1 before the first.
+        said_at: When it came [s].
         restarted: Whether it has booted since it was configured.
     """
 
@@ -67,6 +70,7 @@ class DriveBus:
         self.parameters = p = parameters
         self.measurement: Measurement | None = None
         self.statusword = -1
+        self.said_at = -math.inf
         self.restarted = False
         self.place = f'{p.interface} {p.channel}, node {p.node_id}'
         self.command, self._first, self._second = objects.layout(
@@ -76,7 +80,7 @@ class DriveBus:
         self._unwrap = Unwrap()
         self._position: int | None = None
         self._nmt = 0
-        self._beat = math.inf
+        self._beat = self._watched_at = math.inf
         self._trouble = ''
         self._lost = False
         self._news = threading.Condition()
@@ -158,7 +162,7 @@ class DriveBus:
         self.measurement = None
         self.statusword = -1
         self._nmt = 0       # until it says that it is operational
-        self._beat = time.monotonic()
+        self._beat = self._watched_at = time.monotonic()
         self.restarted = False
         self.nmt(START)
 
@@ -194,7 +198,14 @@ class DriveBus:
             return self._news.wait_for(ready, limit)
 
     def watch(self, now: float) -> None:
-        """Look whether the heartbeat has stayed away at `now` [s]."""
+        """Look, often, whether the heartbeat has stayed away at `now` [s].
+
+        Time in which nobody looked is not counted: this process slept, and so did its receiver.
+        """
+        slept = now - self._watched_at
+        self._watched_at = now
+        if slept > _AWAKE and self._beat < now:
+            self._beat = min(self._beat + slept, now)
         if now - self._beat > self.parameters.heartbeat_hold:
             self.complain(f'no heartbeat for {self.parameters.heartbeat_hold:g} s')
 
@@ -221,7 +232,7 @@ class DriveBus:
         word, counts = struct.unpack_from(self._first.form, data)
         self._nmt = OPERATIONAL     # in every other state it sends no PDOs
         with self._news:
-            self.statusword = word
+            self.statusword, self.said_at = word, time.monotonic()
             self._news.notify_all()
         self._position = self._unwrap(counts)
         if self._second is None:

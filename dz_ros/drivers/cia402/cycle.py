@@ -167,7 +167,7 @@ class Cycle:
             goal = Goal.SAFE
         self._walk.want(goal, now)
         state = self._bus.state
-        word, wrong = self._walk.look(state, now)
+        word, wrong = self._walk.look(state, self._bus.said_at, now)
         if wrong:
             self._bus.complain(wrong)
         if resetting and state is DriveState.FAULT:

@@ -94,6 +94,7 @@ class Cia402(Driver):
         bus, cycle = self._open()
         if not bus.wait_for_status(lambda: bus.statusword >= 0, self.parameters.transition_limit):
             raise DriverError(f'{bus.place}: answers SDOs but sends no PDOs')
+        cycle.want(Goal.SAFE)       # what the loop wanted before is forgotten
         bus.forget_trouble()
         self._leave_fault()
         cycle.want(Goal.ENABLED)
@@ -178,7 +179,8 @@ class Cia402(Driver):
             DriverError: The bus or the drive is not there, the fault lasts, or the position is
                 lost.
         """
-        bus, _ = self._open()
+        bus, cycle = self._open()
+        cycle.want(Goal.SAFE)
         if bus.broken:
             bus = self._reconnect()
         bus.look_for_restart()

@@ -96,8 +96,10 @@ def step_to(goal: Goal, state: DriveState | None) -> Controlword:
 
 
 class Walk:
-    """The way to a goal, with the two things a clock decides.
+    """The way to a goal, with the things a clock decides.
 
+    - What the drive says right after the goal has changed may be its answer to the goal before:
+      operation enabled counts as reached once the drive says so `settle` after the change.
     - From quick stop back to operation enabled is optional in the profile: a drive that does
       not take that step within `patience` is led through switch on disabled.
     - A drive that leaves operation enabled by itself, or does not reach it within `limit`, is in
@@ -105,29 +107,36 @@ class Walk:
 
     Args:
         limit: Longest way to operation enabled [s].
+        settle: How long an answer may be an old one [s].
         patience: How long one step is tried [s].
     """
 
-    def __init__(self, limit: float, patience: float = 0.2) -> None:
+    def __init__(self, limit: float, settle: float = 0.1, patience: float = 0.2) -> None:
         self.limit = limit
+        self.settle = settle
         self.patience = patience
         self.goal = Goal.OFF
         self._since = 0.0
         self._arrived = False
-        self._detour = False
 
     def want(self, goal: Goal, now: float) -> None:
         """Set the goal at `now` [s]; the same one again changes nothing."""
         if goal is not self.goal:
-            self.goal, self._since, self._arrived, self._detour = goal, now, False, False
+            self.goal, self._since, self._arrived = goal, now, False
 
-    def look(self, state: DriveState | None, now: float) -> tuple[Controlword, str]:
-        """Return what to send a drive in this state at `now` [s], and what is wrong, or ''."""
+    def look(self, state: DriveState | None, said: float, now: float) -> tuple[Controlword, str]:
+        """Return what to send, and what is wrong, or ''.
+
+        Args:
+            state: What the drive last said it is in.
+            said: When it said so [s].
+            now: The time [s].
+        """
         word = step_to(self.goal, state)
         if self.goal is not Goal.ENABLED:
             return word, ''
         if state is DriveState.ENABLED:
-            self._arrived = True
+            self._arrived = self._arrived or said - self._since > self.settle
             return word, ''
         if self._arrived:
             return word, f'the drive has left operation enabled by itself: {_name(state)}'
@@ -135,8 +144,6 @@ class Walk:
             return word, (f'the drive does not reach operation enabled within {self.limit:g} s: '
                           f'{_name(state)}')
         if state is DriveState.QUICK_STOP and now - self._since > self.patience:
-            self._detour = True
-        if self._detour and state is DriveState.QUICK_STOP:
             word = Controlword.DISABLE_VOLTAGE
         return word, ''
 

@@ -34,7 +34,7 @@ class Drive:
                     if key.startswith('emulated__')}
         self.configuration = load_configuration('cia402').replace(**{
             'driver.interface': 'virtual', 'driver.channel': f'test-{next(_channels)}',
-            'driver.bus_options': [],
+            'driver.bus_options': [], 'driver.heartbeat_hold': 1.0, 'driver.command_hold': 1.0,
             **{key.replace('__', '.'): value for key, value in overrides.items()
                if not key.startswith('emulated__')}})
         self.emulator = Cia402Emulator(schema.build(EmulatedParameters, emulated),

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
+from dz_ros.drivers.cia402.bus import DriveBus
 from dz_ros.drivers.cia402.cycle import Cycle, Phase
 from dz_ros.drivers.cia402.objects import layout
 from dz_ros.drivers.cia402.settings import Cia402Parameters
@@ -57,6 +58,7 @@ class Bus:
         self.command = layout('torque', False, True)[0]
         self.state = DriveState.ENABLED
         self.trouble = ''
+        self.said_at = 0.0
         self.measurement = None
         self.frames = []
         self.watched = 0
@@ -164,3 +166,29 @@ def test_stopping_twice_and_before_the_start():
     cycle = Cycle(Bus(), T)
     cycle.stop()
     cycle.stop()
+
+
+class Silent:
+    """A bus that nobody is on."""
+
+    def __init__(self):
+        self.bus = DriveBus(replace(Cia402Parameters(), heartbeat_hold=0.2), T)
+
+    def heartbeat(self, now, monkeypatch):
+        monkeypatch.setattr('time.monotonic', lambda: now)
+        self.bus._on_heartbeat(0x701, bytearray((5,)), 0.0)
+
+
+def test_a_heartbeat_that_stays_away_is_trouble_but_our_own_sleep_is_not(monkeypatch):
+    silent = Silent()
+    bus = silent.bus
+    bus.watch(0.0)
+    assert bus.trouble == ''            # none has ever come: there is nothing to miss
+    silent.heartbeat(1.0, monkeypatch)
+    for now in range(100, 120):
+        bus.watch(now / 100.0)
+    bus.watch(5.0)                      # slept for almost four seconds
+    assert bus.trouble == ''
+    bus.watch(5.01)
+    bus.watch(5.02)
+    assert bus.trouble == 'no heartbeat for 0.2 s'

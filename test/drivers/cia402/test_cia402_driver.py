@@ -51,10 +51,10 @@ def test_what_the_drive_was_told(drive):
     assert value(0x6060) == 10
     assert value(0x605A) == 5
     assert value(0x6072) == 2000
-    assert value(0x1016, 1) == 127 << 16 | 150
+    assert value(0x1016, 1) == 127 << 16 | 1000
     assert value(0x1017) == 50
     assert (value(0x60C2, 1), value(0x60C2, 2)) == (50, -4)     # 5 ms
-    assert value(0x1400, 5) == 100
+    assert value(0x1400, 5) == 1000
     assert [value(0x1600, sub) for sub in range(3)] == [2, 0x60400010, 0x60710010]
     assert value(0x1801, 1) == 0x281
     assert value(0x1802, 1) & objects.NOT_VALID
@@ -109,6 +109,18 @@ def test_a_loop_that_falls_silent_is_stopped_and_may_go_on(drive, until):
     driver.report(report)
     assert int(report.values['loop silent']) >= 1
     assert float(report.values['bus round trip p50 [ms]']) > 0.0
+
+
+def test_stops_and_commands_in_quick_turns_are_no_trouble(drive, until):
+    d = drive()
+    driver = d.enabled()
+    for _ in range(200):
+        driver.command(1.0, 0.0)
+        driver.safe(0.0, 0.0)
+        assert driver.trouble() == ''
+    driver.command(1.0, 0.0)
+    until(lambda: driver.command(1.0, 0.0) or d.node._motor.target == 200)
+    assert driver.trouble() == ''
 
 
 def test_a_drive_in_fault_from_before_is_enabled(drive):

@@ -15,8 +15,8 @@ S = DriveState
 def moving(d, until, **overrides):
     """Return an enabled driver under a command that acts."""
     driver = d.enabled(**overrides)
-    driver.command(2.0, 0.0)
-    until(lambda: d.node._motor.target == 400)
+    walk = driver._cycle._walk
+    until(lambda: driver.command(2.0, 0.0) or (d.node._motor.target == 400 and walk._arrived))
     return driver
 
 
@@ -31,13 +31,13 @@ def back(d, driver, until):
 
 @pytest.mark.parametrize(('fault', 'trouble', 'state'), [
     ('emcy', 'EMCY 2310h (Current), error register 01h', S.FAULT),
-    ('heartbeat', 'no heartbeat for 0.15 s', S.QUICK_STOP),
+    ('heartbeat', 'no heartbeat for 1 s', S.QUICK_STOP),
     ('torque-off', 'the drive has left operation enabled by itself: switch on disabled',
      S.DISABLED)])
 def test_a_fault_is_latched_until_recover(drive, until, fault, trouble, state):
     d = drive()
     driver = moving(d, until)
-    d.fault(fault)
+    d.fault(fault, duration=5.0)
     # The loop goes on commanding until it is told; that must not move the drive.
     until(lambda: driver.command(2.0, 0.0) or driver.trouble())
     assert driver.trouble() == trouble
@@ -61,9 +61,9 @@ def test_a_drive_that_restarts(drive, until):
 def test_a_drive_that_restarts_where_nobody_hears_it(drive, until):
     d = drive(driver__absolute_encoder=False)
     driver = moving(d, until)
-    d.fault('restart', duration=0.3)
+    d.fault('restart', duration=2.0)
     until(driver.trouble)
-    assert driver.trouble() == 'no heartbeat for 0.15 s'
+    assert driver.trouble() == 'no heartbeat for 1 s'
     until(lambda: not d.node._off)
     driver._bus.restarted = False       # the boot-up message was lost
     with pytest.raises(DriverError, match='has restarted and has lost its position'):
@@ -74,9 +74,9 @@ def test_a_drive_that_restarts_where_nobody_hears_it(drive, until):
 def test_bus_off_of_the_drive(drive, until):
     d = drive(driver__answer_limit=0.05)
     driver = moving(d, until)
-    d.fault('bus-off', duration=0.5)
+    d.fault('bus-off', duration=2.5)
     until(driver.trouble)
-    assert driver.trouble() == 'no heartbeat for 0.15 s'
+    assert driver.trouble() == 'no heartbeat for 1 s'
     with pytest.raises(DriverError, match='no answer within'):
         driver.recover()
     assert driver.trouble()
@@ -151,7 +151,7 @@ def test_a_fault_that_lasts(drive, until):
 def test_pdos_that_stay_away_are_no_measurement(drive, until):
     d = drive()
     driver = moving(d, until)
-    d.fault('no-pdo', duration=0.3)
+    d.fault('no-pdo', duration=0.5)
     until(lambda: driver.measure() is None)
     until(lambda: driver.command(2.0, 0.0) or driver.measure() is not None)
     assert driver.trouble() == ''

@@ -106,10 +106,10 @@ def test_what_a_quick_stop_ends_in(code, standing, after):
 
 def walk(made, goal, cycles=40, period=0.005, limit=1.0, patience=0.05):
     """Walk a device to a goal as the thread does; return (states, troubles)."""
-    way, states, troubles = Walk(limit, patience), [made.state], []
+    way, states, troubles = Walk(limit, 0.01, patience), [made.state], []
     for cycle in range(cycles):
         way.want(goal, 0.0)
-        word, trouble = way.look(state_of(made.statusword), cycle * period)
+        word, trouble = way.look(state_of(made.statusword), cycle * period, cycle * period)
         if trouble:
             troubles.append(trouble)
         made.control(word)
@@ -152,19 +152,34 @@ def test_no_step_resets_a_fault(state):
 
 
 def test_a_drive_that_drops_out_by_itself_is_not_switched_on_again():
-    way = Walk(1.0)
+    way = Walk(1.0, settle=0.1)
     way.want(Goal.ENABLED, 0.0)
-    assert way.look(S.ENABLED, 0.1)[1] == ''
-    assert way.look(S.DISABLED, 0.2)[1] == ('the drive has left operation enabled by itself: '
-                                            'switch on disabled')
-    way.want(Goal.SAFE, 0.3)
-    assert way.look(S.DISABLED, 0.3) == (Controlword.QUICK_STOP, '')
+    assert way.look(S.ENABLED, 0.2, 0.2)[1] == ''
+    assert way.look(S.DISABLED, 0.3, 0.3)[1] == ('the drive has left operation enabled by itself: '
+                                                 'switch on disabled')
+    way.want(Goal.SAFE, 0.4)
+    assert way.look(S.DISABLED, 0.4, 0.4) == (Controlword.QUICK_STOP, '')
+
+
+@pytest.mark.parametrize('stopped', [S.QUICK_STOP, S.DISABLED])
+def test_an_answer_to_the_goal_before_is_no_trouble(stopped):
+    way = Walk(1.0, settle=0.1)
+    way.want(Goal.ENABLED, 0.0)
+    assert way.look(S.ENABLED, 1.0, 1.0)[1] == ''
+    way.want(Goal.SAFE, 1.0)        # a quick stop, taken back before the drive has said a word
+    way.look(S.ENABLED, 1.0, 1.0)
+    way.want(Goal.ENABLED, 1.002)
+    assert way.look(S.ENABLED, 1.0, 1.3) == (Controlword.ENABLE_OPERATION, '')     # said before
+    assert way.look(S.ENABLED, 1.05, 1.3) == (Controlword.ENABLE_OPERATION, '')
+    assert way.look(stopped, 1.06, 1.1)[1] == ''
+    assert way.look(S.ENABLED, 1.2, 1.2)[1] == ''
+    assert way.look(stopped, 1.3, 1.3)[1] != ''
 
 
 def test_a_drive_that_does_not_get_there_in_time_is_in_trouble():
     way = Walk(1.0)
     way.want(Goal.ENABLED, 5.0)
-    assert way.look(S.READY, 5.9) == (Controlword.SWITCH_ON, '')
-    assert way.look(S.READY, 6.1)[1] == ('the drive does not reach operation enabled within 1 s: '
-                                         'ready to switch on')
-    assert way.look(None, 6.2)[1].endswith('unknown state')
+    assert way.look(S.READY, 5.9, 5.9) == (Controlword.SWITCH_ON, '')
+    assert way.look(S.READY, 6.1, 6.1)[1] == ('the drive does not reach operation enabled within '
+                                              '1 s: ready to switch on')
+    assert way.look(None, 0.0, 6.2)[1].endswith('unknown state')
