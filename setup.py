@@ -9,6 +9,9 @@ manifest = ET.parse('package.xml').getroot()
 name = manifest.findtext('name')
 maintainer = manifest.find('maintainer')
 
+# msgpack: python-can's bus udp_multicast, on which the simulated drive is.
+CIA402 = ['canopen>=2.3,<3', 'msgpack>=1.0', 'python-can>=4.3,<5']
+
 
 def files(*patterns):
     return sorted(str(path) for pattern in patterns for path in Path().glob(pattern))
@@ -48,8 +51,9 @@ setup(
         'numba': ['numba>=0.61'],   # compiles loops off line; the numbers are the same
         'cluster': ['distributed>=2024.1'],     # dz sweep --cluster: many machines
         'parquet': ['pyarrow>=14'],             # dz sweep --out FILE.parquet
+        'cia402': CIA402,                       # driver.name: cia402
         'serial': ['pyserial>=3.5'],            # driver.name: serial
-        'test': ['distributed>=2024.1', 'hypothesis>=6.98', 'numba>=0.61', 'pyarrow>=14',
+        'test': [*CIA402, 'distributed>=2024.1', 'hypothesis>=6.98', 'numba>=0.61', 'pyarrow>=14',
                  'pyserial>=3.5', 'pytest>=7.4'],
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [

@@ -43,7 +43,7 @@ IMPORTED = {
 }
 """Module → distribution that brings it by pip, key that brings it by rosdep."""
 OPTIONAL = {'numba': 'numba', 'dask': 'cluster', 'distributed': 'cluster', 'pyarrow': 'parquet',
-            'serial': 'serial'}
+            'can': 'cia402', 'canopen': 'cia402', 'serial': 'serial'}
 """Module → extra that brings it; nothing needs them."""
 
 pytestmark = pytest.mark.skipif(not (ROOT / 'package.xml').is_file(),
