@@ -44,7 +44,8 @@ IMPORTED = {
 }
 """Module → distribution that brings it by pip, key that brings it by rosdep."""
 OPTIONAL = {'numba': 'numba', 'dask': 'cluster', 'distributed': 'cluster', 'pyarrow': 'parquet',
-            'aiohttp': 'live', 'foxglove': 'foxglove', 'serial': 'serial'}
+            'can': 'cia402', 'canopen': 'cia402', 'serial': 'serial', 'aiohttp': 'live',
+            'foxglove': 'foxglove'}
 """Module → extra that brings it; nothing needs them."""
 
 pytestmark = pytest.mark.skipif(not (ROOT / 'package.xml').is_file(),
