@@ -82,6 +82,7 @@ setup(
             'recorder_node = dz_ros.nodes.main:recorder_node',
             'replay_node = dz_ros.nodes.main:replay_node',
             'live_node = dz_ros.nodes.main:live_node',
+            'foxglove_node = dz_ros.nodes.main:foxglove_node',
         ],
     },
 )
