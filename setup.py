@@ -32,6 +32,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
         (f'share/{name}', ['package.xml']),
         (f'share/{name}/config', files('config/*.yaml', 'config/*.csv')),
+        (f'share/{name}/config/layouts', files('config/layouts/*')),
         (f'share/{name}/launch', files('launch/*.py')),
     ],
     zip_safe=False,

@@ -54,17 +54,17 @@ class FoxgloveNode(LoopNode):
         port = given('foxglove_port', 8765, 'port; 0 = any that is free')
         if not 0 <= port < 65536:
             raise ConfigurationError('foxglove_port', port, 'must be 0 to 65535')
-        self._context = foxglove.Context()
+        self._sinks = foxglove.Context()
         try:
             self._server = foxglove.start_server(name=f'dz_ros {self.get_namespace()}', host=host,
-                                                 port=port, context=self._context)
+                                                 port=port, context=self._sinks)
         except (RuntimeError, OSError, ValueError) as error:
             raise LoopError(f'{host}, port {port}: cannot be listened on ({error}): choose '
                             'another by foxglove_host, foxglove_port') from None
         self._taker = Taker(self)
         for name, channel in CHANNELS.items():
             topic = self.resolve_topic_name(name)
-            made = foxglove.Channel(topic, message_encoding='cdr', context=self._context,
+            made = foxglove.Channel(topic, message_encoding='cdr', context=self._sinks,
                                     schema=foxglove.Schema(
                                         name=channel.type.name, encoding=channel.type.encoding,
                                         data=channel.type.definition.encode()))

@@ -212,8 +212,8 @@ class LiveLoop(Source):
                 'signals': list(self.layout.signals), 'rate': 200.0, **facts(self.configuration)}
 
     def now(self) -> list[dict[str, Any]]:
-        """Return the state of the nodes and the events so far."""
-        return [self.status(time.monotonic()), *self._events]
+        """Return the state of the nodes and the events so far, these in one text."""
+        return [self.status(time.monotonic()), {'kind': 'events', 'events': list(self._events)}]
 
     def news(self) -> list[dict[str, Any]]:
         """Return what has happened since the last time."""

@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
 
 DZ = ('-m', 'dz_ros')
 NODE = ('-m', 'dz_ros.nodes.main')
-TIME_OUT = 60.0
+TIME_OUT = 120.0
 
 
 class Viewer:
@@ -52,7 +52,7 @@ class Viewer:
             message = await self.ws.receive(TIME_OUT)
             if message.type is aiohttp.WSMsgType.TEXT:
                 text = json.loads(message.data)
-                self.texts.append(text)
+                self.texts += text['events'] if text['kind'] == 'events' else [text]
                 if text['kind'] == 'hello':
                     self.hello, self.rows = text, []
                     self.names = [item['name'] for item in text['columns']]
@@ -135,8 +135,10 @@ def test_a_viewer_gets_what_is_recorded_and_what_it_does_is_recorded(processes, 
     after = (truth['seq'] > pressed + 3) & (truth['seq'] < pressed + 60)
     assert after.sum() > 40
     assert (truth['w'][after] == 0.0).all()
-    kicked = truth['disturbance'] < -15.0
-    assert kicked.sum() == 10
+    instant = next(item['values']['plant.kick'][0] for item in actions)
+    inside = (truth['stamp'] > instant - 1e-6) & (truth['stamp'] < instant + 0.05 - 1e-6)
+    assert inside.any()
+    assert np.array_equal(truth['disturbance'] < -15.0, inside)
     assert audit(data).exact
     planned = plan(data, {})
     assert planned.configuration.plant_settings.kick[1:] == (20.0, 0.05)
@@ -159,7 +161,8 @@ def compare(viewer, data):
         shown = viewer.column(column)
         pairs = [(value, known[number]) for number, value in zip(seq, shown, strict=True)
                  if np.isfinite(value)]
-        assert len(pairs) > 0.9 * len(seq), column
+        there = sum(number in known for number in seq.tolist())
+        assert len(pairs) > 0.95 * there > 300, column
         assert all(one == other for one, other in pairs), column
     published = dict(zip(state['seq'].tolist(), state.publish_time.tolist(), strict=True))
     assert all(abs(time_shown * 1e9 - published[number]) < 1e4 for number, time_shown in zip(
@@ -167,7 +170,7 @@ def compare(viewer, data):
 
 
 def test_in_lockstep_the_loop_is_the_same_with_a_page(processes, tmp_path):
-    process, address = start(processes, tmp_path / 'run', '--duration', '20', '--lockstep')
+    process, address = start(processes, tmp_path / 'run', '--duration', '5', '--lockstep')
 
     async def look():
         async with Viewer(address) as viewer:
@@ -178,7 +181,7 @@ def test_in_lockstep_the_loop_is_the_same_with_a_page(processes, tmp_path):
     asyncio.run(look())
     assert process.wait() == 0
     data = read_run(tmp_path / 'run')
-    run = simulate(load_configuration('servo', ['loop.duration=20', 'safety.fault_after=4000']))
+    run = simulate(load_configuration('servo', ['loop.duration=5', 'safety.fault_after=4000']))
     command = data.channels['command']
     assert np.array_equal(command['v'][np.argsort(command['seq'])], run.v)
 

@@ -173,7 +173,7 @@ function wire() {
 }
 
 app.link = new Link({
-  hello, facts, rows, event: happened,
+  hello, facts, rows, event: happened, events: (message) => message.events.forEach(happened),
   status: (message) => { app.status = message; app.statusAt = performance.now(); },
 });
 app.actions = new Actions(app.link, page);
