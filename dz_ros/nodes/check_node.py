@@ -173,7 +173,6 @@ class CheckNode(LoopNode):
 
     def _new_commander(self) -> Result:
         """A commander that starts anew counts from 0."""
-        self._seq = 0
         self._answering = True
         acts = self._acts(BACK, fresh=True)
         return Result('commander restarts', acts, 'acts' if acts else 'does not act',
@@ -191,11 +190,11 @@ class CheckNode(LoopNode):
         told = not self._evidence.tells or safe is not None
         words = ('commands act although the e-stop is pressed' if not ignored else
                  '' if told else 'the safe command was not taken')
-        yield Result('e-stop', ignored and told, f'{len(echoed) - 1} commands acted', '0', words)
+        yield Result('e-stop', ignored and told, f'{max(len(echoed) - 1, 0)} commands acted', '0', words)
         self._estop.publish(Bool(data=False))
         self._wait(0.2)
         refused = self._reset()
-        acts = self._acts(BACK, fresh=True)
+        acts = self._acts(BACK)
         yield Result('reset', acts and not refused, 'acts' if acts else 'does not act',
                      f'within {BACK:g} s', refused or ('' if acts else 'no command acts after '
                                                        'the reset'))
@@ -207,12 +206,11 @@ class CheckNode(LoopNode):
         self._wait(self.configuration.safety.fault_after * self._period + 0.5)
         self._evidence.connect()
         started = time.monotonic()
-        self._seq = 0
         self._answering = True
         acts = self._acts(1.0, fresh=True)
         if not acts:
             self._reset()
-            acts = self._acts(BACK, fresh=True)
+            acts = self._acts(BACK)
         return Result('disconnect and reconnect', acts, f'{time.monotonic() - started:.2f} s',
                       f'<= {BACK:g} s', '' if acts else 'no command acts when the commander is '
                       'back, reset or not')
@@ -244,13 +242,22 @@ class CheckNode(LoopNode):
         self._seq += 1
 
     def _acts(self, limit: float, fresh: bool = False) -> bool:
-        """Whether commands sent from now on are echoed within a time [s]."""
-        seen, first = self._evidence, self._seq
-        count = len(seen.states)
+        """Whether commands sent from now on are echoed, with their stamps, within a time [s].
+
+        Args:
+            limit: The time.
+            fresh: True where seq begins at 0 again: what was sent before is forgotten.
+        """
+        seen = self._evidence
+        if fresh:
+            self._seq = 0
+            seen.commands.clear()
+        first = self._seq + 5
 
         def echoed() -> bool:
-            return any(first + 5 <= item.echo_seq <= self._seq
-                       for item in seen.states[count if fresh else -1:])
+            newest = seen.states[-1] if seen.states else None
+            return (newest is not None and newest.echo_seq >= first
+                    and seen.commands.get(newest.echo_seq) == newest.echo_stamp)
 
         self.spin_until(time.monotonic() + limit, echoed)
         return echoed()
