@@ -26,7 +26,8 @@ setup(
     maintainer=maintainer.text,
     maintainer_email=maintainer.get('email'),
     packages=find_packages(include=[name, f'{name}.*']),
-    package_data={name: ['py.typed', 'nodes/fastdds.xml']},
+    package_data={name: ['py.typed', 'nodes/fastdds.xml', 'live/page/*.*',
+                         'live/page/vendor/*.*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
         (f'share/{name}', ['package.xml']),
@@ -53,8 +54,11 @@ setup(
         'parquet': ['pyarrow>=14'],             # dz sweep --out FILE.parquet
         'cia402': CIA402,                       # driver.name: cia402
         'serial': ['pyserial>=3.5'],            # driver.name: serial
-        'test': [*CIA402, 'distributed>=2024.1', 'hypothesis>=6.98', 'numba>=0.61', 'pyarrow>=14',
-                 'pyserial>=3.5', 'pytest>=7.4'],
+        'live': ['aiohttp>=3.9'],               # the page in the browser
+        'foxglove': ['foxglove-sdk>=0.14'],     # the same channels for Foxglove and Lichtblick
+        'test': [*CIA402, 'aiohttp>=3.9', 'axe-playwright-python>=0.1.4', 'distributed>=2024.1',
+                 'foxglove-sdk>=0.14', 'hypothesis>=6.98', 'numba>=0.61', 'playwright>=1.40',
+                 'pyarrow>=14', 'pyserial>=3.5', 'pytest>=7.4'],
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [
             'catkin-pkg==1.1.1',
@@ -77,6 +81,7 @@ setup(
             'trajectory_node = dz_ros.nodes.main:trajectory_node',
             'recorder_node = dz_ros.nodes.main:recorder_node',
             'replay_node = dz_ros.nodes.main:replay_node',
+            'live_node = dz_ros.nodes.main:live_node',
         ],
     },
 )
