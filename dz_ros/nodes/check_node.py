@@ -190,7 +190,8 @@ class CheckNode(LoopNode):
         told = not self._evidence.tells or safe is not None
         words = ('commands act although the e-stop is pressed' if not ignored else
                  '' if told else 'the safe command was not taken')
-        yield Result('e-stop', ignored and told, f'{max(len(echoed) - 1, 0)} commands acted', '0', words)
+        yield Result('e-stop', ignored and told, f'{max(len(echoed) - 1, 0)} commands acted', '0',
+                     words)
         self._estop.publish(Bool(data=False))
         self._wait(0.2)
         refused = self._reset()
