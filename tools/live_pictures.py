@@ -57,7 +57,7 @@ def until(page: Any, expression: str) -> None:
 
 def live(browser: Any, address: str, out: Path) -> None:
     """Photograph a running loop."""
-    page = browser.new_page(viewport={'width': 1600, 'height': 1150})
+    page = browser.new_page(viewport={'width': 1600, 'height': 1060})
     page.goto(address)
     until(page, 'dzRos.app.stores[0]?.last > 9')
     page.select_option('#span', '10')
@@ -68,6 +68,8 @@ def live(browser: Any, address: str, out: Path) -> None:
     until(page, f'dzRos.app.stores[0].last > {changed + 3.5}')
     page.click('#kick button')
     until(page, f'dzRos.app.stores[0].last > {changed + 6.5}')
+    page.evaluate('scrollTo(0, 0)')
+    page.wait_for_timeout(300)
     page.screenshot(path=out / 'live_light.png')
     page.emulate_media(color_scheme='dark')
     page.wait_for_timeout(400)

@@ -16,7 +16,7 @@ import time
 from typing import Any
 
 from dz_ros.drivers.cia402 import objects
-from dz_ros.drivers.cia402.connection import bus_errors, connect, NOTIFIER_CYCLE
+from dz_ros.drivers.cia402.connection import bus_errors, connect, Watcher
 from dz_ros.drivers.cia402.scaling import Scaling, Unwrap
 from dz_ros.drivers.cia402.sdo import Sdo
 from dz_ros.drivers.cia402.settings import Cia402Parameters
@@ -98,7 +98,7 @@ class DriveBus:
             DriverError: There is no such bus.
         """
         p = self.parameters
-        network = connect(p, _Watcher(self._on_error_frame, self._on_bus_error))
+        network = connect(p, Watcher(self._on_error_frame, self._on_bus_error))
         self._error = bus_errors()
         self._sdo = Sdo(network, p, self.place)
         network.subscribe(HEARTBEAT + p.node_id, self._on_heartbeat)
@@ -281,25 +281,3 @@ class DriveBus:
         if self._network is not None:
             self._lost = True
             self.complain(f'the bus has gone: {" ".join(str(error).split())}')
-
-
-class _Watcher:
-    """Hears error frames and failures of the receiving thread.
-
-    python-can calls listeners with each message, and `on_error` with what ends its thread.
-    """
-
-    def __init__(self, frame: Callable[[int], None],
-                 failure: Callable[[BaseException], None]) -> None:
-        self._frame = frame
-        self._failure = failure
-
-    def __call__(self, message: Any) -> None:
-        """Hear a message."""
-        if message.is_error_frame:
-            self._frame(message.arbitration_id)
-
-    def on_error(self, error: Exception) -> None:
-        """Hear that receiving failed; it is tried again a little later."""
-        self._failure(error)
-        time.sleep(NOTIFIER_CYCLE)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 import logging
+import time
 from typing import Any
 
 from dz_ros.drivers.cia402.settings import Cia402Parameters
@@ -51,3 +53,25 @@ def connect(p: Cia402Parameters, *listeners: Any) -> Any:
         raise DriverError(f'no CAN bus at driver.interface = {p.interface!r}, driver.channel = '
                           f'{p.channel!r}: {reason}') from None
     return network
+
+
+class Watcher:
+    """Hears error frames and failures of the receiving thread.
+
+    python-can calls listeners with each message, and `on_error` with what ends its thread.
+    """
+
+    def __init__(self, frame: Callable[[int], None],
+                 failure: Callable[[BaseException], None]) -> None:
+        self._frame = frame
+        self._failure = failure
+
+    def __call__(self, message: Any) -> None:
+        """Hear a message."""
+        if message.is_error_frame:
+            self._frame(message.arbitration_id)
+
+    def on_error(self, error: Exception) -> None:
+        """Hear that receiving failed; it is tried again a little later."""
+        self._failure(error)
+        time.sleep(NOTIFIER_CYCLE)

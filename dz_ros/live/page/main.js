@@ -47,7 +47,8 @@ function hello(message) {
     ? message.runs.map((name) => new RunStore(message.columns, name))
     : [new Store(message.columns, Math.ceil(message.minutes * 60 * rate))];
   page.plots.replaceChildren();
-  app.plots = new Plots(page.plots, message, view, () => events.marks());
+  app.plots = new Plots(page.plots, message, view, () => events.marks(),
+                        () => { app.dirty = true; });
   app.bars = [new Histogram(page.plots, 'interval', 'Period', 'interval', 1 / rate),
               new Histogram(page.plots, 'round_trip', 'Round trip', 'round_trip', null)];
   app.tiles = new Tiles(page.tiles, {...message, units: app.stores[0].units});
