@@ -1,11 +1,12 @@
 """The live page: what it costs, how late it is, and whether the loop notices it.
 
-    python benchmarks/live.py [--quick] [--turns N] [--soak]
+    python benchmarks/live.py [--quick] [--turns N] [--soak] [--write]
 
 One loop of nodes at 200 Hz, recorded, with its page. Stretches without a viewer and with five take
 turns within that one run, so that both meet the same machine. A viewer is a WebSocket that takes
 every sample of every topic; its delay is from the publishing of a state, by DDS's time-stamp, to
-the row's arrival. `--soak` adds ten minutes with five viewers and looks at the server's memory.
+the row's arrival. `--soak` adds ten minutes with five viewers and looks at the server's memory;
+`--write` puts the table into docs/looking.md.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.machine import describe  # noqa: E402
 from benchmarks.speed_kit.processes import cpu_ns, nodes_below, resident  # noqa: E402
-from benchmarks.speed_kit.rows import brief, Row, say, show, spread  # noqa: E402
+from benchmarks.speed_kit.rows import brief, markdown, Row, say, show, spread  # noqa: E402
 from benchmarks.speed_kit.running import environment, process  # noqa: E402
 from dz_ros.live.history import HEAD  # noqa: E402
 from dz_ros.recording.reader import read_run  # noqa: E402
@@ -184,12 +185,24 @@ def soak(folder: Path, seconds: float = 600.0) -> list[Row]:
                 detail=f'{len(delays)} rows')]
 
 
+def write(found: Sequence[Row]) -> None:
+    """Put the table into docs/looking.md."""
+    path = ROOT / 'docs' / 'looking.md'
+    begin, end = '<!-- live figures: benchmarks/live.py -->', '<!-- end of live figures -->'
+    text = path.read_text(encoding='utf-8')
+    head, _, rest = text.partition(begin)
+    table = [f'Measured on {describe("ros-rclpy", "aiohttp", "numpy")}:', '', *markdown(found)]
+    path.write_text(f'{head}{begin}\n' + '\n'.join(table) + f'\n{end}' + rest.partition(end)[2],
+                    encoding='utf-8')
+
+
 def main() -> int:
     """Print the table; return 1 if a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
     parser.add_argument('--quick', action='store_true', help='short turns')
     parser.add_argument('--turns', type=int, default=3, help='stretches of each kind')
     parser.add_argument('--soak', action='store_true', help='ten minutes as well')
+    parser.add_argument('--write', action='store_true', help='into docs/looking.md')
     parser.add_argument('--watch', help=argparse.SUPPRESS)
     parser.add_argument('--seconds', type=float, default=20.0, help='of a stretch')
     arguments = parser.parse_args()
@@ -203,6 +216,8 @@ def main() -> int:
         found = rows(Path(name) / 'turns', seconds, turns)
         if arguments.soak:
             found += soak(Path(name) / 'soak')
+    if arguments.write:
+        write(found)
     return show(found)
 
 

@@ -60,14 +60,13 @@ def live(browser: Any, address: str, out: Path) -> None:
     page = browser.new_page(viewport={'width': 1600, 'height': 1060})
     page.goto(address)
     until(page, 'dzRos.app.stores[0]?.last > 9')
-    page.select_option('#span', '10')
     page.fill('input[name="plant.dead_zone.b_r"]', '0.2')
     page.fill('input[name="plant.dead_zone.b_l"]', '-0.15')
     page.click('#section-plant button[type=submit]')
     changed = page.evaluate('dzRos.app.stores[0].last')
-    until(page, f'dzRos.app.stores[0].last > {changed + 3.5}')
+    until(page, f'dzRos.app.stores[0].last > {changed + 3.0}')
     page.click('#kick button')
-    until(page, f'dzRos.app.stores[0].last > {changed + 6.5}')
+    until(page, f'dzRos.app.stores[0].last > {changed + 6.0}')
     page.evaluate('scrollTo(0, 0)')
     page.wait_for_timeout(300)
     page.screenshot(path=out / 'live_light.png')
@@ -109,7 +108,11 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name, sync_playwright() as driver:
         folder = Path(name)
         arguments = ['--no-sandbox'] if os.geteuid() == 0 else []
-        browser = driver.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        # It draws without a graphics card, and must not take the time from the loop it shows.
+        behind = folder / 'chromium'
+        behind.write_text(f'#!/bin/sh\nexec nice -n 15 {CHROMIUM} "$@"\n', encoding='utf-8')
+        behind.chmod(0o755)
+        browser = driver.chromium.launch(executable_path=behind, args=arguments)
         with served('run', 'robust', '--duration', '300', '--quiet', '--live', '--record',
                     str(folder / 'robust')) as address:
             live(browser, address, out)
