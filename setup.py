@@ -48,8 +48,9 @@ setup(
         'numba': ['numba>=0.61'],   # compiles loops off line; the numbers are the same
         'cluster': ['distributed>=2024.1'],     # dz sweep --cluster: many machines
         'parquet': ['pyarrow>=14'],             # dz sweep --out FILE.parquet
+        'serial': ['pyserial>=3.5'],            # driver.name: serial
         'test': ['distributed>=2024.1', 'hypothesis>=6.98', 'numba>=0.61', 'pyarrow>=14',
-                 'pytest>=7.4'],
+                 'pyserial>=3.5', 'pytest>=7.4'],
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [
             'catkin-pkg==1.1.1',
@@ -67,6 +68,7 @@ setup(
         'console_scripts': [
             'dz = dz_ros.cli.main:main',
             'plant_node = dz_ros.nodes.main:plant_node',
+            'actuator_node = dz_ros.nodes.main:actuator_node',
             'controller_node = dz_ros.nodes.main:controller_node',
             'trajectory_node = dz_ros.nodes.main:trajectory_node',
             'recorder_node = dz_ros.nodes.main:recorder_node',

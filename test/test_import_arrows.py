@@ -36,7 +36,7 @@ ARROWS = {
 ROS = {'rclpy', 'std_msgs', 'std_srvs', 'rcl_interfaces', 'rosgraph_msgs', 'builtin_interfaces',
        'diagnostic_msgs', 'lifecycle_msgs', 'launch', 'launch_ros', 'ament_index_python'}
 SLOW = {'matplotlib', 'scipy', 'rosbags', 'numba', 'pandas', 'pyarrow', 'dask',
-        'distributed'}  # only inside functions
+        'distributed', 'serial'}  # only inside functions
 OUTSIDE_WORLD = {'asyncio', 'ctypes', 'datetime', 'io', 'logging', 'multiprocessing', 'os',
                  'pathlib', 'select', 'shutil', 'signal', 'socket', 'subprocess', 'tempfile',
                  'threading', 'time'}

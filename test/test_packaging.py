@@ -42,7 +42,8 @@ IMPORTED = {
     'zstandard': ('zstandard', 'mcap-ros2-support'),
 }
 """Module → distribution that brings it by pip, key that brings it by rosdep."""
-OPTIONAL = {'numba': 'numba', 'dask': 'cluster', 'distributed': 'cluster', 'pyarrow': 'parquet'}
+OPTIONAL = {'numba': 'numba', 'dask': 'cluster', 'distributed': 'cluster', 'pyarrow': 'parquet',
+            'serial': 'serial'}
 """Module → extra that brings it; nothing needs them."""
 
 pytestmark = pytest.mark.skipif(not (ROOT / 'package.xml').is_file(),

@@ -14,8 +14,8 @@ import xml.etree.ElementTree as ET
 
 ROOT = Path(__file__).resolve().parent.parent
 NAME = 'dz_ros'
-EXECUTABLES = ('dz', 'plant_node', 'controller_node', 'trajectory_node', 'recorder_node',
-               'replay_node')
+EXECUTABLES = ('dz', 'plant_node', 'actuator_node', 'controller_node', 'trajectory_node',
+               'recorder_node', 'replay_node')
 TIME_LIMIT = 1800
 
 

@@ -155,7 +155,7 @@ def _part(run: RunData, flat: Mapping[str, Any], configuration: Configuration | 
         problem = 'the log does not say which law and gains were used'
     elif configuration is None:
         try:
-            configuration = Configuration.from_flat(flat)
+            configuration = Configuration.from_flat(flat, driven=False)
         except DzRosError as error:
             problem = f'its configuration cannot be used here: {error}'
     if configuration is not None:

@@ -124,7 +124,7 @@ def _configuration(run: RunData) -> Configuration | None:
     if not ours:
         return None
     try:
-        return Configuration.from_flat(ours)
+        return Configuration.from_flat(ours, driven=False)
     except DzRosError:
         return None
 

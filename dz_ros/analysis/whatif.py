@@ -93,7 +93,7 @@ def plan(run: RunData, overrides: Mapping[str, Any], *, given: Mapping[str, Any]
         flat = _structure(run, flat, overrides, fit)
     if not any(key.startswith('loop.') for key in flat):
         flat['loop.rate'] = round(1.0 / float(np.median(np.diff(state['stamp']))), 6)
-    base = Configuration.from_flat(flat)
+    base = Configuration.from_flat(flat, driven=False)
     notes: list[str] = []
     rows = rows_with_seq(state)
     begin, end = float(state['stamp'][rows[0]]), float(np.nanmax(state['stamp'][rows]))
@@ -108,7 +108,7 @@ def plan(run: RunData, overrides: Mapping[str, Any], *, given: Mapping[str, Any]
     if fit:
         found = fit_plant(run, base)
         base = base.replace(**fitted_keys(found, base))
-    chosen = Configuration.from_flat({**base.to_flat(), **overrides})
+    chosen = base.replace(**overrides)
     notes += _notes(run, chosen, overrides)
     moved = any(key.startswith('trajectory.') for key in overrides)
     as_recorded = not moved and (not any(key.startswith('trajectory.') for key in flat)

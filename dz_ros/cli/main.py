@@ -45,6 +45,7 @@ VERBS = {
     ('arena',): Verb('arena', 'compare every law in every scenario'),
     ('sweep',): Verb('sweep', 'run thousands of loops over keys of a configuration; draw them'),
     ('tune',): Verb('tune', 'propose gains from bounds, rate, delay and effort'),
+    ('driver', 'emulate'): Verb('driver_emulate', 'be a device, to try its driver without it'),
     ('report',): Verb('report', "make a run's report: figures, timing, table of metrics"),
     ('list',): Verb('listing', 'list plants, laws, trajectories or configurations'),
     ('bag', 'info'): Verb('bag_info', 'say what a recorded run holds'),
@@ -56,7 +57,7 @@ VERBS = {
 }
 """Words → verb; two words are a noun and its verb, as ``ros2`` groups its own."""
 
-NOUNS = {'bag': 'recorded runs'}
+NOUNS = {'bag': 'recorded runs', 'driver': 'actuators'}
 """Noun → what its verbs are about."""
 
 

@@ -26,7 +26,8 @@ from dz_ros.errors import ConfigurationError, LoopError, RunExistsError
 from dz_ros.files import write_parameters
 from dz_ros.runtime.claim import claim, ClaimedError, domain, domain_topic
 
-ORDER = (('plant_node',), ('trajectory_node', 'controller_node'), ('recorder_node',))
+ORDER = (('plant_node', 'actuator_node'), ('trajectory_node', 'controller_node'),
+         ('recorder_node',))
 """The order in which nodes are ended: whoever drives the loop first, whoever records it last."""
 START_LIMIT = 60.0
 """The loop must have its first sample within this time [s]."""
@@ -107,8 +108,10 @@ class _Loop:
         common = ['--ros-args', '--params-file', str(parameters)]
         if arguments.namespace.strip('/'):
             common += ['-r', f'__ns:=/{arguments.namespace.strip("/")}']
+        self._actuator = ('plant_node' if configuration.driver_settings.name == 'simulated'
+                          else 'actuator_node')
         self._arguments = {
-            'plant_node': common, 'trajectory_node': common,
+            self._actuator: common, 'trajectory_node': common,
             'controller_node': [*common, '-p', f'progress_rate:={2.0 if self._quiet else 5.0}']}
         if arguments.record is not None:
             # In a file, because on a command line YAML decides what a name such as 20261122 is.
@@ -117,7 +120,7 @@ class _Loop:
             self._arguments['recorder_node'] = [*common, '--params-file', str(directory)]
 
     def run(self) -> int:
-        """Start everything, wait for the plant, end everything in order."""
+        """Start everything, wait for the actuator's host, end everything in order."""
         previous = {number: signal.signal(number, self._interrupt)
                     for number in ENDS}
         try:
@@ -187,14 +190,14 @@ class _Loop:
         self._interrupted = True
 
     def _watch(self) -> None:
-        """Wait until the plant is done, a node fails, or the user ends it."""
+        """Wait until the actuator's host is done, a node fails, or the user ends it."""
         give_up = time.monotonic() + START_LIMIT
         while not self._interrupted:
             for name, process in self._processes.items():
                 code = process.poll()
-                if code is not None and (code != 0 or name != 'plant_node'):
+                if code is not None and (code != 0 or name != self._actuator):
                     self._failed[name] = code
-            if self._failed or self._processes['plant_node'].poll() is not None:
+            if self._failed or self._processes[self._actuator].poll() is not None:
                 return
             if not self._progress_seen.is_set() and time.monotonic() > give_up:
                 self._failed['the loop'] = -1000

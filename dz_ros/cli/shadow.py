@@ -63,7 +63,8 @@ def _configuration(recorded: RunData, arguments: argparse.Namespace) -> Configur
         raise ConfigurationError('--config', None, f'{arguments.run} does not hold the '
                                  'configuration it was recorded with: give it')
     overrides = flat_parameters(arguments.config, arguments.overrides)
-    configuration = Configuration.from_flat({**recorded.configuration, **overrides})
+    configuration = Configuration.from_flat({**recorded.configuration, **overrides},
+                                           driven=False)
     return configuration.replace(**{
         'loop.timing': 'realtime' if arguments.paced else 'lockstep',
         'loop.peers': PEERS[1:] if arguments.paced else PEERS})

@@ -19,130 +19,22 @@ from typing import Any
 
 from dz_ros.core import schema
 from dz_ros.core.deadzone import DeadZone
-from dz_ros.core.driver import Driver, DRIVERS, DriverSettings
+from dz_ros.core.driver import Driver, DRIVERS, DriverSettings, NoParameters, Undriven
 from dz_ros.core.laws import LAWS
 from dz_ros.core.laws.base import Law
 from dz_ros.core.plants import PLANTS
 from dz_ros.core.plants.base import Plant
 from dz_ros.core.registry import Registry
 from dz_ros.core.safety.settings import SafetySettings
-from dz_ros.core.schema import parameter
+from dz_ros.core.settings import (
+    ControllerSettings,
+    LoopSettings,
+    PlantSettings,
+    TrajectorySettings,
+)
 from dz_ros.core.trajectories import TRAJECTORIES
 from dz_ros.core.trajectories.base import Trajectory
 from dz_ros.errors import ConfigurationError, UnknownNameError
-
-
-@dataclass(frozen=True)
-class LoopSettings:
-    """The loop itself."""
-
-    rate: float = parameter(200.0, 'Hz', 'samples per second, 1/T; the paper has T = 0.005 s',
-                            minimum=1.0, maximum=10000.0, structural=True)
-    delay: int = parameter(0, 'samples', 'whole samples by which the actuator applies a command '
-                           'late, on top of what the transport takes', minimum=0, maximum=100,
-                           structural=True)
-    timing: str = parameter('realtime', '', 'realtime: absolute deadlines of the wall; lockstep: '
-                            'as fast as the messages come, stamp = kT', structural=True,
-                            choices=('realtime', 'lockstep'))
-    duration: float = parameter(20.0, 's', 'length of a run; 0 = until stopped (a loop of nodes '
-                                'only)', minimum=0.0, structural=True)
-    seed: int = parameter(0, '1', 'seed of everything random', minimum=0, maximum=2 ** 63 - 1,
-                          structural=True)
-    peers: tuple[str, ...] = parameter(
-        ('plant_node', 'controller_node', 'trajectory_node'), '', 'names of the nodes that must '
-        'be there before the first sample; add recorder_node to have it recorded',
-        structural=True)
-
-    def check(self, prefix: str) -> None:
-        """Check that a run has a sample after the first.
-
-        Raises:
-            ConfigurationError: It has not.
-        """
-        if self.duration > 0.0 and self.samples < 1:
-            raise ConfigurationError(f'{prefix}duration', self.duration, 'must be 0 (until '
-                                     f'stopped) or at least one period, {self.period:g} s')
-
-    @property
-    def period(self) -> float:
-        """T [s]."""
-        return 1.0 / self.rate
-
-    @property
-    def samples(self) -> int:
-        """Number of the last sample of a run; samples 0 … this one exist."""
-        return round(self.duration * self.rate)
-
-
-@dataclass(frozen=True)
-class PlantSettings:
-    """What every plant has besides its model's own parameters."""
-
-    model: str = parameter('wang2004', '', 'name of the plant, or package.module:Class',
-                           structural=True)
-    x0: tuple[float, ...] = parameter((), 'state units', "initial state; empty = the model's",
-                                      structural=True)
-    substeps: int = parameter(4, '1', 'RK4 steps in a sample', minimum=1, maximum=1000,
-                              structural=True)
-    noise: tuple[float, ...] = parameter(
-        (0.0,), 'state units', 'standard deviation of the measurement noise of each state, or one '
-        'for all', minimum=0.0, structural=True)
-    command_limit: float = parameter(0.0, 'actuator unit', 'the actuator clips |v| to this; '
-                                     '0 = no limit', minimum=0.0, structural=True)
-    kick: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), '', '[instant in s, acceleration in unit of x^(n), duration in s] of a '
-        'push on the plant, over the samples that begin within it; acceleration 0 = none',
-        length=3, structural=True)
-
-    def check(self, prefix: str) -> None:
-        """Check that the kick is in the loop's time.
-
-        Raises:
-            ConfigurationError: Its instant or duration is negative.
-        """
-        if self.kick[0] < 0.0 or self.kick[2] < 0.0:
-            raise ConfigurationError(f'{prefix}kick', list(self.kick),
-                                     'instant and duration must not be negative')
-
-
-@dataclass(frozen=True)
-class ControllerSettings:
-    """What every controller has besides its law's own gains: the law and the knowledge (A4)."""
-
-    law: str = parameter('wang2004', '', 'name of the law, or package.module:Class',
-                         structural=True)
-    b_r_bounds: tuple[float, ...] = parameter((0.1, 0.6), 'actuator unit',
-                                              'known bounds of b_r (A4)', length=2, minimum=0.0)
-    b_l_bounds: tuple[float, ...] = parameter((-0.7, -0.1), 'actuator unit',
-                                              'known bounds of b_l (A4)', length=2, maximum=0.0)
-    m_bounds: tuple[float, ...] = parameter((0.85, 1.25), '1', 'known bounds of the slope m (A4)',
-                                            length=2, minimum=0.0, open_minimum=True)
-    b_bounds: tuple[float, ...] = parameter((1.0, 1.0), 'input gain unit',
-                                            'known bounds of the input gain b', length=2,
-                                            minimum=0.0, open_minimum=True)
-    override_checks: bool = parameter(False, '', 'start the controller even where a design rule '
-                                      'finds an error', structural=True)
-
-    def check(self, prefix: str) -> None:
-        """Check that lower bounds lie below upper ones.
-
-        Raises:
-            ConfigurationError: They do not.
-        """
-        for name in ('b_r_bounds', 'b_l_bounds', 'm_bounds', 'b_bounds'):
-            low, high = getattr(self, name)
-            if low > high:
-                raise ConfigurationError(f'{prefix}{name}', [low, high],
-                                         'the lower bound must not exceed the upper one')
-
-
-@dataclass(frozen=True)
-class TrajectorySettings:
-    """What every trajectory has besides its own parameters."""
-
-    kind: str = parameter('sinusoid', '', 'name of the trajectory, or package.module:Class',
-                          structural=True)
-
 
 SECTIONS: Mapping[str, tuple[type, Registry | None, str]] = {
     'loop': (LoopSettings, None, ''),
@@ -199,8 +91,13 @@ class Configuration:
         return (first, after, acceleration) if acceleration != 0.0 else (0, 0, 0.0)
 
     @classmethod
-    def from_flat(cls, flat: Mapping[str, Any]) -> Configuration:
+    def from_flat(cls, flat: Mapping[str, Any], driven: bool = True) -> Configuration:
         """Make a configuration from dotted keys; what is not given has its default.
+
+        Args:
+            flat: Dotted key → value.
+            driven: False where nothing is driven with it, so that its driver need not be
+                installed: a controller, a recording that is looked at.
 
         Raises:
             ConfigurationError: Unknown key, value not allowed, parts that do not fit together.
@@ -215,7 +112,8 @@ class Configuration:
                        for name in list(sections['plant']) if name.startswith('dead_zone.')}
         dead_zone = schema.build(DeadZone, zone_values, 'plant.dead_zone.')
         set_aside: list[str] = []
-        built = {name: _section(name, values, set_aside) for name, values in sections.items()}
+        built = {name: _section(name, values, set_aside) if driven or name != 'driver'
+                 else _undriven(values, set_aside) for name, values in sections.items()}
         loop = built['loop'][0]
         settings, model, parameters = built['plant']
         plant = model(parameters)
@@ -264,7 +162,7 @@ class Configuration:
 
     def replace(self, **overrides: Any) -> Configuration:
         """Return this configuration with dotted keys changed (``**{'loop.delay': 1}``)."""
-        return self.from_flat({**self.to_flat(), **overrides})
+        return self.from_flat({**self.to_flat(), **overrides}, self.driver_class is not Undriven)
 
 
 def _section(name: str, values: Mapping[str, Any],
@@ -290,6 +188,15 @@ def _section(name: str, values: Mapping[str, Any],
             raise schema.unknown_key(f'{name}.{key}', value,
                                      (f'{name}.{item}' for item in {*common, *own}))
     return settings, chosen, schema.build(getattr(chosen, group_name), given, f'{name}.')
+
+
+def _undriven(values: Mapping[str, Any], set_aside: list[str]) -> tuple[Any, Any, Any]:
+    """Return what `_section` does for the section `driver`, without its class."""
+    common = {item.name for item in schema.fields(DriverSettings)}
+    set_aside += [f'driver.{key}' for key in values if key not in common]
+    settings = schema.build(DriverSettings, {key: value for key, value in values.items()
+                                             if key in common}, 'driver.')
+    return settings, Undriven, NoParameters()
 
 
 def _known_elsewhere(registry: Registry, group_name: str, key: str) -> bool:

@@ -28,6 +28,7 @@ from typing import Any, ClassVar, TYPE_CHECKING
 from dz_ros.core.records import Truth
 from dz_ros.core.registry import Registry
 from dz_ros.core.schema import parameter
+from dz_ros.errors import DriverError
 
 if TYPE_CHECKING:
     from dz_ros.core.configuration import Configuration
@@ -120,6 +121,7 @@ class Driver(ABC):
     def configure(self, configuration: Configuration) -> None:
         """Use other limits and parameters from now on; structural ones are the same."""
         self.configuration = configuration
+        self.parameters = configuration.driver_parameters
 
     # Each sample.
 
@@ -128,12 +130,18 @@ class Driver(ABC):
         """Give the device a command [command unit] at loop time t [s]; return at once."""
 
     def safe(self, v: float, t: float) -> None:
-        """Go to the safe state, the command v if the device has none of its own (quick stop)."""
+        """Go to the safe state, the command v if the device has none of its own (quick stop).
+
+        A later `command` acts again, unless `trouble` then says that an operator must reset.
+        """
         self.command(v, t)
 
     @abstractmethod
     def measure(self) -> tuple[float, ...] | None:
-        """Return the newest measurement, shape (measured,), at once; None = none that is fresh."""
+        """Return the newest measurement, shape (measured,), at once; None = none that is fresh.
+
+        A sample without one has no state; too many in a row (`safety.state_hold`) are a fault.
+        """
 
     def advance(self, t: float, seq: int) -> Truth | None:  # noqa: ARG002
         """Hear that sample `seq` ends at loop time t [s]; a simulated device says what is true."""
@@ -144,7 +152,7 @@ class Driver(ABC):
         return ''
 
     def recover(self) -> None:
-        """Try to leave the trouble, when an operator resets.
+        """Try to leave the trouble, when an operator resets; may take a second.
 
         Raises:
             DriverError: It lasts.
@@ -152,6 +160,37 @@ class Driver(ABC):
 
     def report(self, report: Report) -> None:
         """Add what the driver knows to the diagnostics, once a second."""
+
+
+@dataclass(frozen=True)
+class NoParameters:
+    """Of a driver that is not asked for any."""
+
+
+class Undriven(Driver):
+    """Stands for the driver of a configuration with which nothing is driven here.
+
+    A controller, or whoever looks at a recording, needs no driver's class; it may not even be
+    installed. Its name stays in the configuration, its parameters are set aside.
+    """
+
+    name = 'undriven'
+    summary = 'no driver'
+    order = 0
+    lockstep = True
+    Parameters = NoParameters
+
+    def command(self, v: float, t: float) -> None:  # noqa: ARG002
+        """Drive nothing.
+
+        Raises:
+            DriverError: Always.
+        """
+        raise DriverError('this configuration was read without its driver')
+
+    def measure(self) -> tuple[float, ...] | None:
+        """Measure nothing."""
+        return None
 
 
 DRIVERS = Registry('driver', 'driver.name', 'dz_ros.drivers', Driver, {

@@ -1,9 +1,9 @@
 """The simulated actuator and plant: dead-zone and plant advanced in loop time, no ROS, no clock.
 
-The twin of ``nodes/plant_node.py``. Time is whatever the caller says it is: a command takes effect
-at the instant it arrives (plus the configured delay in whole samples), in the middle of a sample
-if need be, and the plant is integrated piece by piece between those instants (RK4, mathematics.md
-§3). With commands that arrive exactly at t_k it repeats the offline loop bit for bit.
+The driver of ``nodes/plant_node.py``. Time is whatever the caller says it is: a command takes
+effect at the instant it arrives (plus the configured delay in whole samples), in the middle of a
+sample if need be, and the plant is integrated piece by piece between those instants (RK4). With
+commands that arrive exactly at t_k it repeats the offline loop bit for bit.
 """
 
 from __future__ import annotations
@@ -69,6 +69,11 @@ class SimulatedActuator(Driver):
         self._sigma = c.noise if any(c.noise) else None
         self._random = np.random.default_rng(c.loop.seed)
         self._pending: deque[tuple[float, float]] = deque()
+
+    @property
+    def limit(self) -> float:
+        """Largest |v| the actuator takes [actuator unit]."""
+        return self._limit or math.inf
 
     def configure(self, configuration: Configuration) -> None:
         """Give plant and dead-zone other parameters from now on; the structure is the same."""

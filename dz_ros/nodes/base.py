@@ -149,15 +149,19 @@ class LoopNode(Node):
 
     def missing(self) -> list[str]:
         """Return which peers do not listen yet to what this node publishes, in words."""
+        def place(name: str) -> str:
+            return topics.STANDS_FOR.get(name, name)
+
         found = []
+        peers, own = set(map(place, self.configuration.loop.peers)), place(self.get_name())
         for topic, (publisher, _) in self._records.items():
             wanted = [name for name in topics.LISTENERS[topic]
-                      if name in self.configuration.loop.peers and name != self.get_name()]
+                      if name in peers and name != own]
             if publisher.get_subscription_count() < len(wanted):
                 found.append(f'{", ".join(wanted)} to listen to {publisher.topic_name} '
                              '(loop.peers says who is waited for)')
                 continue
-            there = {info.node_name
+            there = {place(info.node_name)
                      for info in self.get_subscriptions_info_by_topic(publisher.topic_name)}
             found += [f'{name} to listen to {publisher.topic_name}' for name in wanted
                       if name not in there]

@@ -19,7 +19,8 @@ from dz_ros.errors import DzRosError, NO_RCLPY
 from dz_ros.runtime.claim import domain
 from dz_ros.runtime.process import end_with_parent, settle
 
-NODES = {'plant_node': 'PlantNode', 'controller_node': 'ControllerNode',
+NODES = {'plant_node': 'PlantNode', 'actuator_node': 'ActuatorNode',
+         'controller_node': 'ControllerNode',
          'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode',
          'replay_node': 'ReplayNode', 'feed_node': 'FeedNode',
          'operator_node': 'OperatorNode'}
@@ -106,6 +107,11 @@ def _first_line(error: Exception) -> str:
 def plant_node() -> int:
     """Run the simulated plant."""
     return run_node('plant_node')
+
+
+def actuator_node() -> int:
+    """Run an actuator by its driver."""
+    return run_node('actuator_node')
 
 
 def controller_node() -> int:

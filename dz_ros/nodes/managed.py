@@ -125,7 +125,7 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
         def do() -> None:
             self.set_up()
             self.change_life('configure')
-        return self._attempt(do)
+        return self._attempt(do, self.withdraw)
 
     def on_cleanup(self, _state: LifecycleState) -> Any:
         """Withdraw from the topics."""
@@ -157,13 +157,13 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
             self.stopping = True        # what was published is delivered on closing
         return self._attempt(do)
 
-    def _attempt(self, do: Callable[[], None]) -> Any:
-        """Do it; keep the error, which rclpy would swallow."""
+    def _attempt(self, do: Callable[[], None], undo: Callable[[], None] = lambda: None) -> Any:
+        """Do it, undo it after an error, which is kept: rclpy would swallow it."""
         try:
             do()
         except DzRosError as error:
             self._problem = error
-            self.withdraw()
+            undo()
             if not self._starting:      # then it is what the process ends with
                 self.get_logger().error(str(error))
             return FAILURE
@@ -202,7 +202,7 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
         if not values:
             return SetParametersResult(successful=True)
         try:
-            found = Configuration.from_flat({**flat, **values})
+            found = self.configuration.replace(**values)
             self.vet(found)
         except DzRosError as error:
             return SetParametersResult(successful=False, reason=str(error))

@@ -20,10 +20,11 @@ from std_srvs.srv import Trigger
 
 from dz_ros.errors import ConfigurationError, LoopError
 from dz_ros.nodes.guarded import LATCHED
+from dz_ros.nodes.topics import STANDS_FOR
 
 ENDS = ('plant_node', 'controller_node')
 """Nodes with a reset service, the one at the actuator first: the law must not start before the
-actuator listens."""
+actuator listens. Where another node stands for one of them, it is that one."""
 TASKS = ('status', 'estop', 'reset')
 
 
@@ -80,10 +81,7 @@ class OperatorNode(Node):
         """Call the service of each node in order; return which refused, and why."""
         refused = {}
         for name in self._nodes:
-            client = self.create_client(Trigger, f'{name}/{self._task}')
-            if not client.wait_for_service(self._patience):
-                raise LoopError(f'no {client.srv_name} within {self._patience:g} s: is the loop '
-                                'running in this ROS_DOMAIN_ID and namespace?')
+            client, name = self._find(name)
             future = client.call_async(Trigger.Request())
             self._executor.spin_until_future_complete(future, self._patience)
             if not future.done():
@@ -94,6 +92,28 @@ class OperatorNode(Node):
                 refused[name] = answer.message
             self._write({'node': name, 'done': answer.success, 'message': answer.message})
         return refused
+
+    def _find(self, name: str) -> tuple[Any, str]:
+        """Return the client of a node's service, or of one that stands for it, and its name.
+
+        Raises:
+            LoopError: There is none.
+        """
+        names = (name, *(other for other, place in STANDS_FOR.items() if place == name))
+        clients = [self.create_client(Trigger, f'{item}/{self._task}') for item in names]
+        give_up = time.monotonic() + self._patience
+        found = None
+        while found is None and time.monotonic() < give_up and not self.stopping:
+            self._executor.spin_once(timeout_sec=0.02)
+            found = next((index for index, client in enumerate(clients)
+                          if client.service_is_ready()), None)
+        for index, client in enumerate(clients):
+            if index != (found or 0):
+                self.destroy_client(client)
+        if found is None:
+            raise LoopError(f'no {clients[0].srv_name} within {self._patience:g} s: is the loop '
+                            'running in this ROS_DOMAIN_ID and namespace?')
+        return clients[found], names[found]
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:

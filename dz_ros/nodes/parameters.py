@@ -105,14 +105,16 @@ def configure(node: Node, *sections: str) -> Configuration:
     Args:
         node: The node.
         *sections: Of loop, safety, plant, structure (the plant's model and parameters alone,
-            which is what a controller may know of it), controller, trajectory, driver.
+            which is what a controller may know of it), controller, trajectory, driver, device
+            (plant where the driver simulates it, structure otherwise). Without plant and driver
+            the driver need not be installed.
 
     Raises:
         ConfigurationError: A key nobody knows or a value that is not allowed.
     """
     flat = overrides(node, SECTIONS)
     resolve_waypoints(flat, Path())     # relative to where the node was started
-    c = Configuration.from_flat(flat)
+    c = Configuration.from_flat(flat, driven='plant' in sections or 'driver' in sections)
     groups = {
         'loop': (('loop', c.loop),),
         'safety': (('safety', c.safety),),
@@ -125,6 +127,7 @@ def configure(node: Node, *sections: str) -> Configuration:
                        ('trajectory', c.trajectory.parameters)),
         'driver': (('driver', c.driver_settings), ('driver', c.driver_parameters)),
     }
+    groups['device'] = groups['plant' if c.driver_class.lockstep else 'structure']
     for section in sections:
         for prefix, group in groups[section]:
             declare(node, prefix, group)

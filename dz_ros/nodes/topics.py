@@ -58,3 +58,6 @@ LISTENERS = {'reference': ('controller_node', 'recorder_node'),
              'terms': ('recorder_node',),
              'truth': ('recorder_node',)}
 """Topic → nodes its publisher waits for before the first sample, if `loop.peers` has them."""
+
+STANDS_FOR = {'actuator_node': 'plant_node'}
+"""Node → the one whose place it takes in `LISTENERS` and in `loop.peers`."""

@@ -2,7 +2,7 @@
 
 Whoever hosts an actuator, simulated or real, passes every command through `command`, calls `poll`
 at least once a sample, and gives the actuator what the two return and nothing else. The twin of
-what ``nodes/plant_node.py`` does with its topics. Time is the host's own loop time [s].
+what ``nodes/hosting.py`` does with its topics. Time is the host's own loop time [s].
 """
 
 from __future__ import annotations
@@ -144,8 +144,8 @@ class ActuatorGuard:
         self._watchdog.stop()
         return self.gate.safe(t)
 
-    def reset(self, t: float) -> str:
-        """Leave a latched mode; return why not, empty when it was left."""
+    def held_by(self, t: float) -> str:
+        """Return why a latched mode cannot be left now, empty when it can."""
         if not self.supervisor.latched:
             return 'nothing is latched'
         if self._pressed:
@@ -153,6 +153,12 @@ class ActuatorGuard:
         if self.supervisor.life.value == 'active' and self._watch and (
                 self._watchdog.fed is None or self._watchdog.older(t, FRESH * self._period)):
             return 'no command arrives: start the controller first'
-        self.guard.forget_rivals()
-        self.supervisor.happen(Event.RESET)
         return ''
+
+    def reset(self, t: float) -> str:
+        """Leave a latched mode; return why not, empty when it was left."""
+        refused = self.held_by(t)
+        if not refused:
+            self.guard.forget_rivals()
+            self.supervisor.happen(Event.RESET)
+        return refused

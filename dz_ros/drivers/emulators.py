@@ -1,0 +1,108 @@
+"""Stand-ins for devices: processes of their own that answer a driver as a real device would.
+
+An emulator has the configured plant behind its dead-zone, and faults on a script, so that a
+driver and the loop behind it can be tried without hardware. ``dz driver emulate KIND`` starts
+one; a package of yours adds its own by an entry point in the group ``dz_ros.emulators``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+import math
+import re
+from typing import Any, ClassVar
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.registry import Registry
+from dz_ros.errors import ConfigurationError
+
+_NUMBER = r'\d+(?:\.\d+)?'
+_FAULT = re.compile(rf'(?P<name>[a-z-]+)@(?P<start>{_NUMBER})(?:\+(?P<duration>{_NUMBER}))?'
+                    rf'(?:=(?P<value>{_NUMBER}))?', re.ASCII)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """Something that goes wrong, on a script.
+
+    Attributes:
+        name: One of the emulator's `faults`.
+        start: When, from the first command that moves the device on [s].
+        duration: How long [s].
+        value: What the fault needs besides, e.g. a probability or a code; NaN = not given.
+    """
+
+    name: str
+    start: float
+    duration: float = 0.0
+    value: float = math.nan
+
+    @classmethod
+    def parse(cls, text: str, known: Mapping[str, str]) -> Fault:
+        """Return the fault written as NAME@START[+DURATION][=VALUE].
+
+        Raises:
+            ConfigurationError: It is not written so, or of no kind that is known.
+        """
+        found = _FAULT.fullmatch(text)
+        if found is None:
+            raise ConfigurationError('--fault', text, 'must be NAME@START[+DURATION][=VALUE], '
+                                     'times in s, e.g. ' + f'{next(iter(known))}@2+0.5')
+        if found['name'] not in known:
+            raise ConfigurationError('--fault', text, 'is none of ' + ', '.join(known))
+        return cls(found['name'], **{key: float(value) for key, value in found.groupdict().items()
+                                     if key != 'name' and value is not None})
+
+    def active(self, t: float) -> bool:
+        """Return whether it is there at time t [s]."""
+        return self.start <= t < self.start + self.duration
+
+
+class Emulator(ABC):
+    """A stand-in for a device.
+
+    Args:
+        parameters: The emulator's own, checked.
+        configuration: The plant behind it, and the rest.
+        faults: What goes wrong, and when.
+
+    Attributes:
+        name: Name, that of the driver it is for.
+        summary: One line for lists.
+        faults: Name of each fault it knows → what happens.
+        Parameters: Frozen dataclass of `dz_ros.core.schema.parameter` fields.
+    """
+
+    name: ClassVar[str]
+    summary: ClassVar[str]
+    faults: ClassVar[Mapping[str, str]]
+    Parameters: ClassVar[type]
+
+    def __init__(self, parameters: Any, configuration: Configuration,
+                 faults: Sequence[Fault] = ()) -> None:
+        self.parameters = parameters
+        self.configuration = configuration
+        self.script = tuple(faults)
+
+    @abstractmethod
+    def open(self) -> str:
+        """Be there; return how a driver finds it, in words for the user.
+
+        Raises:
+            DriverError: It cannot be.
+        """
+
+    @abstractmethod
+    def run(self, stopping: Callable[[], bool], say: Callable[[str], None]) -> None:
+        """Be the device until told to stop; say what happens to it."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Be gone."""
+
+
+EMULATORS = Registry('emulator', 'KIND', 'dz_ros.emulators', Emulator, {
+    'serial': 'dz_ros.drivers.serial.emulator:SerialEmulator',
+})

@@ -1,0 +1,171 @@
+"""A microcontroller on a pseudo-terminal, to try the driver and the loop without hardware (ours).
+
+    plant ── device (or a program) ── cable ── port ◀── driver
+
+The device speaks the whole protocol, with its own watchdog, and has the configured plant behind
+the configured dead-zone. Faults happen to the cable (bytes wrong, lost, added; unplugged) or to
+the device (silent, deaf, frozen, started anew, in fault).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+import math
+import select
+import time
+from typing import Any, ClassVar
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.schema import parameter
+from dz_ros.drivers.emulators import Emulator, Fault
+from dz_ros.drivers.serial.cable import Cable
+from dz_ros.drivers.serial.framing import Receiver
+from dz_ros.drivers.serial.protocol import Command, decode, FrameError, MAX_VALUES, Request
+from dz_ros.drivers.serial.stand_ins import EmulatedDevice, Program, StandIn
+from dz_ros.errors import ConfigurationError
+
+SHARE = 0.01
+"""Share of bytes that a fault hits unless it says another one."""
+
+
+@dataclass(frozen=True)
+class SerialEmulatorParameters:
+    """The port and the device."""
+
+    link: str = parameter('', '', 'symbolic link to the port, so that its name stays the same')
+    program: str = parameter('', '', 'program to be the device: its standard input and output '
+                             'are the line')
+    values: int = parameter(0, '1', "how many of x, x', … it measures; 0 = all", minimum=0,
+                            maximum=MAX_VALUES)
+    command_scale: float = parameter(1e-3, 'actuator unit', 'of a count of v', minimum=0.0,
+                                     open_minimum=True)
+    state_scale: float = parameter(1e-6, 'state units', "of a count of x, x', …", minimum=0.0,
+                                   open_minimum=True)
+    limit: int = parameter(30000, 'counts', 'largest |v|', minimum=1, maximum=2 ** 31 - 1)
+
+
+class SerialEmulator(Emulator):
+    """A device of the serial protocol on a pseudo-terminal."""
+
+    name = 'serial'
+    summary = 'a microcontroller on a pseudo-terminal, for the driver serial'
+    faults: ClassVar[Mapping[str, str]] = {
+        'unplug': 'the port is gone for so long',
+        'mute': 'nothing comes from the device for so long',
+        'deaf': 'nothing reaches the device for so long',
+        'corrupt': 'for so long a share VALUE of the bytes has a wrong bit (0.01)',
+        'lose': 'for so long a share VALUE of the bytes is lost (0.01)',
+        'garbage': 'VALUE bytes of noise both ways at once (1000)',
+        'freeze': 'the device does nothing for so long; the actuator keeps what it has',
+        'restart': 'the device starts anew',
+        'trip': 'its amplifier reports fault VALUE for so long (7)',
+    }
+    Parameters = SerialEmulatorParameters
+
+    def __init__(self, parameters: Any, configuration: Configuration,
+                 faults: Sequence[Fault] = ()) -> None:
+        super().__init__(parameters, configuration, faults)
+        order = configuration.plant.order
+        if (parameters.values or order) > min(order, MAX_VALUES):
+            raise ConfigurationError('values', parameters.values, f'must be at most '
+                                     f'{min(order, MAX_VALUES)}')
+        self._cable = Cable(parameters.link, configuration.loop.seed)
+        self._device: StandIn | None = None
+        self._listener = Receiver()
+        self._moving: int | None = None
+        self._happening: set[Fault] = set()
+        self._past: set[Fault] = set()
+
+    def open(self) -> str:
+        """Make the port appear.
+
+        Raises:
+            DriverError: The link or the program cannot be used.
+        """
+        p = self.parameters
+        values = p.values or self.configuration.plant.order
+        self._device = Program(p.program) if p.program else EmulatedDevice(
+            self.configuration, (p.command_scale, *[p.state_scale] * values), p.limit)
+        self._cable.plug()
+        return f'serial device on {self._cable.port}'
+
+    def run(self, stopping: Callable[[], bool], say: Callable[[str], None]) -> None:
+        """Be the device until told to stop.
+
+        Raises:
+            DriverError: The program has ended.
+        """
+        device = self._device
+        assert device is not None
+        now = time.monotonic_ns() // 1000
+        while not stopping():
+            ends = [end for end in (self._cable.fileno(), device.fileno()) if end >= 0]
+            select.select(ends, [], [], max(device.due(now) - now, 0) * 1e-6)
+            now = time.monotonic_ns() // 1000
+            self._follow_script(device, now, say)
+            received = self._disturb('deaf', self._cable.read(), say, now)
+            self._cable.write(self._disturb('mute', device.step(received, now), say, now))
+
+    def close(self) -> None:
+        """Make the port vanish."""
+        self._cable.unplug()
+        if self._device is not None:
+            self._device.close()
+
+    def _disturb(self, lost_by: str, data: bytes, say: Callable[[str], None], now: int) -> bytes:
+        """Return what of the bytes gets through; note the first command that moves the device."""
+        if lost_by == 'deaf' and self._moving is None and data:
+            for body in self._listener.feed(data):
+                try:
+                    frame = decode(body)
+                except FrameError:
+                    continue
+                if isinstance(frame, Command) and frame.request is Request.RUN:
+                    self._moving = now
+                    say('running: the script begins')
+        for fault in self._happening:
+            share = SHARE if math.isnan(fault.value) else fault.value
+            if fault.name == lost_by:
+                return b''
+            if fault.name == 'corrupt' and data:
+                data = self._cable.corrupt(data, share)
+            elif fault.name == 'lose' and data:
+                data = self._cable.lose(data, share)
+            elif fault.name == 'garbage':
+                data = self._cable.noise(1000 if math.isnan(fault.value) else int(fault.value))
+        return data
+
+    def _follow_script(self, device: StandIn, now: int, say: Callable[[str], None]) -> None:
+        """Let begin and end what is due."""
+        if self._moving is None or not self.script:
+            return
+        t = (now - self._moving) * 1e-6
+        for fault in self._happening - {item for item in self.script if item.active(t)}:
+            self._happening.discard(fault)
+            self._past.add(fault)
+            self._end(device, fault)
+            say(f'{fault.name} ends')
+        for fault in self.script:
+            if t >= fault.start and fault not in self._happening | self._past:
+                self._happening.add(fault)
+                say(f'{fault.name} begins at {t:.3f} s')
+                self._begin(device, fault)
+
+    def _begin(self, device: StandIn, fault: Fault) -> None:
+        if fault.name == 'unplug':
+            self._cable.unplug()
+        elif fault.name == 'restart':
+            device.restart()
+        elif fault.name == 'freeze':
+            device.freeze(True)
+        elif fault.name == 'trip':
+            device.trip(7 if math.isnan(fault.value) else int(fault.value))
+
+    def _end(self, device: StandIn, fault: Fault) -> None:
+        if fault.name == 'unplug':
+            self._cable.plug()
+        elif fault.name == 'freeze':
+            device.freeze(False)
+        elif fault.name == 'trip':
+            device.trip(0)

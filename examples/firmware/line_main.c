@@ -1,0 +1,125 @@
+/* The firmware on a PC: the line is standard input and output, the hardware a simulated servo.
+ *
+ *     cc -std=c99 -O2 -Wall -Wextra -Werror -o firmware dz_device.c line_main.c -lm
+ *     dz driver emulate serial --option program=./firmware
+ *
+ * The servo is that of config/serial.yaml without its cogging: J q'' + B q' + T_c tanh(q'/w_s) =
+ * K_t D(v), behind the dead-zone D of slope 1 between b_l and b_r. SIGUSR1 makes its amplifier
+ * report fault 7, SIGUSR2 takes it back. It ends with its line.
+ */
+#define _POSIX_C_SOURCE 200809L
+
+#include "dz_device.h"
+
+#include <math.h>
+#include <poll.h>
+#include <signal.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+#define COMMAND_SCALE 1e-3                  /* A in a count */
+#define ANGLE_SCALE 1e-6                    /* rad */
+#define SPEED_SCALE 1e-5                    /* rad/s */
+#define STEP 1e-4                           /* of the integration [s] */
+
+static volatile sig_atomic_t overcurrent;
+
+struct servo {
+    double t, angle, speed, current;
+    int ended;
+};
+
+static void set_fault(int number)
+{
+    overcurrent = number == SIGUSR1 ? 7 : 0;
+}
+
+static double seconds(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+static double acceleration(double speed, double current)
+{
+    const double b_r = 0.5, b_l = -0.6;
+    double w = current >= b_r ? current - b_r : current <= b_l ? current - b_l : 0.0;
+    return w - 0.4 * speed - 1.0 * tanh(speed / 0.01);
+}
+
+/* Move the servo to now: Heun's method in short steps. */
+static void advance(struct servo *servo, double now)
+{
+    while (servo->t < now) {
+        double h = now - servo->t < STEP ? now - servo->t : STEP;
+        double a = acceleration(servo->speed, servo->current);
+        double b = acceleration(servo->speed + h * a, servo->current);
+        servo->angle += h * (servo->speed + 0.5 * h * a);
+        servo->speed += 0.5 * h * (a + b);
+        servo->t += h;
+    }
+}
+
+static size_t line_read(void *self, uint8_t *data, size_t size)
+{
+    struct servo *servo = self;
+    struct pollfd in = {.fd = STDIN_FILENO, .events = POLLIN};
+    if (poll(&in, 1, 0) <= 0)
+        return 0;
+    ssize_t got = read(STDIN_FILENO, data, size);
+    if (got == 0)
+        servo->ended = 1;
+    return got > 0 ? (size_t)got : 0;
+}
+
+static void line_write(void *self, const uint8_t *data, size_t size)
+{
+    struct servo *servo = self;
+    struct pollfd out = {.fd = STDOUT_FILENO, .events = POLLOUT};
+    if (poll(&out, 1, 0) > 0 && write(STDOUT_FILENO, data, size) < 0)
+        servo->ended = 1;
+}
+
+static uint16_t servo_measure(void *self, int32_t *values)
+{
+    struct servo *servo = self;
+    advance(servo, seconds());
+    values[0] = (int32_t)lround(servo->angle / ANGLE_SCALE);
+    values[1] = (int32_t)lround(servo->speed / SPEED_SCALE);
+    return (uint16_t)overcurrent;
+}
+
+static void servo_actuate(void *self, int powered, int32_t v)
+{
+    struct servo *servo = self;
+    advance(servo, seconds());
+    servo->current = powered ? COMMAND_SCALE * v : 0.0;
+}
+
+int main(void)
+{
+    static const struct dz_description description = {
+        .values = 2, .limit = 30000, .command_scale = (float)COMMAND_SCALE,
+        .state_scales = {(float)ANGLE_SCALE, (float)SPEED_SCALE}, .name = "firmware on a PC"};
+    struct servo servo = {.t = seconds(), .angle = 0.1};
+    struct dz_hardware hardware = {line_read, line_write, servo_measure, servo_actuate, &servo};
+    struct dz_device device;
+    struct sigaction action;
+    memset(&action, 0, sizeof action);
+    action.sa_handler = set_fault;
+    sigaction(SIGUSR1, &action, NULL);
+    sigaction(SIGUSR2, &action, NULL);
+    signal(SIGPIPE, SIG_IGN);
+    dz_device_init(&device, &hardware, &description);
+    while (!servo.ended) {
+        struct pollfd in = {.fd = STDIN_FILENO, .events = POLLIN};
+        struct timespec nap = {0, 100000};
+        dz_device_step(&device, (uint32_t)(uint64_t)(seconds() * 1e6));
+        if (poll(&in, 1, 0) == 0)
+            nanosleep(&nap, NULL);
+    }
+    return EXIT_SUCCESS;
+}

@@ -1,0 +1,165 @@
+"""Faults on a script, the bytes they touch, and the verb that starts emulators."""
+
+import signal
+
+from hypothesis import given
+from hypothesis import strategies as st
+import pytest
+
+from dz_ros.cli.main import main
+from dz_ros.core.configuration import Configuration
+from dz_ros.drivers.emulators import Emulator, EMULATORS, Fault
+from dz_ros.drivers.serial.cable import Cable
+from dz_ros.drivers.serial.stand_ins import EmulatedDevice
+from dz_ros.errors import ConfigurationError, DriverError
+
+KNOWN = {'unplug': '', 'corrupt': ''}
+EMULATE = ('-m', 'dz_ros', 'driver', 'emulate')
+
+
+@pytest.mark.parametrize(('text', 'expected'), [
+    ('unplug@2', Fault('unplug', 2.0)),
+    ('unplug@2.5+0.25', Fault('unplug', 2.5, 0.25)),
+    ('corrupt@0+1=0.5', Fault('corrupt', 0.0, 1.0, 0.5)),
+])
+def test_faults_are_read(text, expected):
+    found = Fault.parse(text, KNOWN)
+    assert repr(found) == repr(expected)
+
+
+@given(st.text(max_size=12) | st.from_regex(r'(unplug|x)@[0-9.+=]{0,8}', fullmatch=True))
+def test_what_is_no_fault_is_an_error_of_one_line(text):
+    try:
+        found = Fault.parse(text, KNOWN)
+    except ConfigurationError:
+        return
+    assert found.name in KNOWN
+    assert found.start >= 0.0
+
+
+@pytest.mark.parametrize(('text', 'words'), [
+    ('soon', 'must be NAME@START'), ('burn@2', 'is none of unplug, corrupt'),
+    ('unplug@1.2.3', 'must be NAME@START'), ('unplug@-1', 'must be NAME@START')])
+def test_mistakes_are_named(text, words):
+    with pytest.raises(ConfigurationError, match=words):
+        Fault.parse(text, KNOWN)
+
+
+def test_a_fault_lasts_as_long_as_it_says():
+    fault = Fault('unplug', 1.0, 0.5)
+    assert [fault.active(t) for t in (0.99, 1.0, 1.49, 1.5)] == [False, True, True, False]
+
+
+@pytest.mark.parametrize('name', [name for name, found in EMULATORS.all().items()
+                                  if not isinstance(found, Exception)])
+def test_every_emulator_says_what_it_is(name, capsys):
+    kind = EMULATORS.load(name)
+    assert issubclass(kind, Emulator)
+    assert kind.name == name
+    assert main(['driver', 'emulate', name, '--list']) == 0
+    said = capsys.readouterr().out
+    assert all(f'--fault {fault}@  {what}' in said for fault, what in kind.faults.items())
+    assert kind.summary in said
+
+
+def test_emulators_are_listed(capsys):
+    assert main(['driver', 'emulate', '--list']) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(EMULATORS.all())
+
+
+@pytest.mark.parametrize(('words', 'message'), [
+    ([], "KIND = '': must be one of serial"),
+    (['none'], "KIND = 'none': no such emulator"),
+    (['serial', 'servo', '-o', 'limit'], "--option = 'limit': must be KEY=VALUE"),
+    (['serial', 'servo', '-o', 'limit=0'], '--option limit = 0'),
+    (['serial', 'servo', '-o', 'limit=[1'], '--option limit'),
+    (['serial', 'servo', '-o', 'lmit=1'], 'did you mean --option limit?'),
+    (['serial', 'servo', '-o', 'values=3'], 'values = 3: must be at most 2'),
+    (['serial', 'servo', '--fault', 'x@1'], "--fault = 'x@1': is none of unplug"),
+    (['serial', 'servo', '-o', 'program=/nowhere/at/all'], 'cannot be started'),
+    (['serial', 'no_such_file'], 'no_such_file'),
+])
+def test_mistakes_on_the_command_line(words, message, capsys):
+    assert main(['driver', 'emulate', *words]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count('\n') == 1
+
+
+def test_bytes_are_hit_as_often_as_asked_for():
+    cable = Cable('', 1)
+    data = bytes(range(256)) * 40
+    hit = [a ^ b for a, b in zip(data, cable.corrupt(data, 0.1), strict=True) if a != b]
+    assert 0.08 < len(hit) / len(data) < 0.12
+    assert all(bit.bit_count() == 1 for bit in hit)
+    assert 0.88 < len(cable.lose(data, 0.1)) / len(data) < 0.92
+    assert cable.corrupt(data, 0.0) == cable.lose(data, 0.0) == data
+    assert len(cable.noise(100)) == 100
+
+
+def test_a_port_keeps_its_name_through_being_unplugged(tmp_path):
+    link = tmp_path / 'port'
+    cable = Cable(str(link), 0)
+    cable.write(b'nobody is there')
+    assert cable.read() == b''
+    for _ in range(2):
+        cable.plug()
+        with link.open('r+b', buffering=0) as port:
+            port.write(b'up\0\n')
+            assert cable.read() == b'up\0\n'
+            cable.write(b'down')
+            assert port.read(4) == b'down'
+            cable.unplug()
+            assert not link.is_symlink()
+            try:
+                left = port.read(1)
+            except OSError:
+                left = b''
+            assert left == b''
+    cable.unplug()
+
+
+def test_what_is_no_link_is_never_replaced(tmp_path):
+    file = tmp_path / 'precious'
+    file.write_text('data')
+    with pytest.raises(DriverError, match='is no symbolic link'):
+        Cable(str(file), 0).plug()
+    assert file.read_text() == 'data'
+    with pytest.raises(DriverError, match='No such file'):
+        Cable(str(tmp_path / 'none' / 'port'), 0).plug()
+
+
+def test_the_plant_behind_an_emulated_device_is_the_configured_one():
+    configuration = Configuration.from_flat({'plant.model': 'servo', 'plant.x0': [0.1, 0.0]})
+    device = EmulatedDevice(configuration, (1e-3, 1e-6, 1e-6), 30000)
+    device.step(b'', 10_000_000)        # however long nobody commands, it stands still
+    assert device._measure() == ([100000, 0], 0)
+    device._actuate(3000)
+    for k in range(1, 201):
+        device.step(b'', 10_000_000 + 1000 * k)
+    twin = configuration.make_driver()
+    twin.command(3.0, 0.0)
+    for k in range(1, 201):
+        twin.advance(1e-3 * k, 0)
+    assert device._measure()[0] == pytest.approx([value * 1e6 for value in twin.measure()], abs=2)
+    device.trip(4)
+    assert device._measure()[1] == 4
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_an_emulator_ends_in_order_and_takes_its_port_away(processes, tmp_path, number):
+    link = tmp_path / 'port'
+    process = processes(*EMULATE, 'serial', 'servo', '-o', f'link={link}')
+    assert process.wait_for_line('serial device on').endswith(str(link))
+    assert link.readlink().exists()
+    process.signal(number)
+    assert process.wait() == 0
+    assert not link.is_symlink()
+    assert 'Traceback' not in process.output
+
+
+def test_a_program_that_ends_is_said(processes, tmp_path):
+    process = processes(*EMULATE, 'serial', 'servo', '-o', 'program=/bin/true')
+    assert process.wait() == 2
+    assert 'has ended (exit code 0)' in process.output.splitlines()[-1]

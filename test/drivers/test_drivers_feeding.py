@@ -1,0 +1,123 @@
+"""The thread for slow devices: newest wins, nothing waits, nothing is lost at the end."""
+
+import threading
+import time
+
+import pytest
+
+from dz_ros.drivers.feeding import Feeder, Order
+from dz_ros.errors import DriverError
+
+TIME_OUT = 20.0
+
+
+class Device:
+    """Answers when the test lets it; notes every order."""
+
+    def __init__(self):
+        self.orders = []
+        self.turn = threading.Semaphore(0)
+        self.asked = threading.Semaphore(0)
+        self.answer = (1.0, 2.0)
+
+    def __call__(self, order):
+        self.asked.release()
+        assert self.turn.acquire(timeout=TIME_OUT)
+        if order is not None:
+            self.orders.append(order)
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+
+def until(condition):
+    deadline = time.monotonic() + TIME_OUT
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+
+
+@pytest.fixture
+def device():
+    made = Device()
+    yield made
+    for _ in range(1000):
+        made.turn.release()
+
+
+@pytest.fixture
+def feeder(device):
+    made = Feeder(device, 0.005, fresh=TIME_OUT)
+    made.start()
+    yield made
+    for _ in range(100):
+        device.turn.release()
+    made.stop(TIME_OUT)
+
+
+def test_orders_the_device_is_too_slow_for_are_replaced_by_the_newest(device, feeder):
+    assert device.asked.acquire(timeout=TIME_OUT)   # it is busy now
+    for v in range(10):
+        feeder.put(float(v), 0.005 * v)
+    assert feeder.replaced == 9
+    device.turn.release(2)
+    until(lambda: device.orders)
+    assert device.orders == [Order(9.0, 0.045)]
+
+
+def test_the_loop_s_side_never_waits(device, feeder):
+    assert device.asked.acquire(timeout=TIME_OUT)   # and keeps the thread
+    assert feeder.newest() is None
+    feeder.put(1.0, 0.0)
+    assert feeder.trouble() == ''
+    assert device.orders == []      # all this while the device has not answered
+
+
+def test_a_measurement_comes_in_and_grows_old(device):
+    feeder = Feeder(device, 0.005, fresh=0.05)
+    feeder.start()
+    device.turn.release()
+    until(lambda: feeder.newest() == (1.0, 2.0))
+    until(lambda: feeder.newest() is None)
+    device.turn.release(1000)
+    feeder.stop(TIME_OUT)
+
+
+def test_what_it_raises_is_trouble_until_it_works_again(device, feeder):
+    device.answer = OSError('bus off\nno carrier')
+    device.turn.release()
+    until(lambda: feeder.trouble() == 'bus off no carrier')
+    feeder.forgive()
+    assert feeder.trouble() == ''
+    device.answer = RuntimeError()
+    device.turn.release()
+    until(lambda: feeder.trouble() == 'RuntimeError')
+    device.answer = (3.0, 4.0)
+    device.turn.release()
+    until(lambda: feeder.trouble() == '' and feeder.newest() == (3.0, 4.0))
+
+
+def test_stopping_lets_the_last_order_out(device, feeder):
+    device.turn.release(1000)
+    until(lambda: feeder.exchanges > 0)
+    feeder.put(7.0, 1.0)
+    feeder.put(0.0, 1.0, safe=True)
+    feeder.stop(TIME_OUT)
+    assert device.orders[-1] == Order(0.0, 1.0, safe=True)
+    asked = feeder.exchanges
+    feeder.stop(TIME_OUT)
+    assert feeder.exchanges == asked
+
+
+def test_a_device_that_holds_the_thread_is_left_behind_in_words(device):
+    feeder = Feeder(device, 0.005)
+    feeder.start()
+    assert device.asked.acquire(timeout=TIME_OUT)
+    with pytest.raises(DriverError, match='has not answered'):
+        feeder.stop(0.05)
+
+
+def test_the_longest_exchange_is_measured(device, feeder):
+    device.turn.release()
+    until(lambda: feeder.exchanges > 0)
+    assert feeder.take_slowest() > 0.0

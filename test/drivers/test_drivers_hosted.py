@@ -1,0 +1,267 @@
+"""The host's side of a driver: order of calls, limits, bad measurements, code that raises."""
+
+from __future__ import annotations
+
+import math
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.driver import Driver, NoParameters
+from dz_ros.core.records import Reference
+from dz_ros.core.safety.health import Level, Report
+from dz_ros.drivers.hosted import HostedDriver
+from dz_ros.errors import ConfigurationError, DriverError, LoopError
+
+LIMIT = 5.0
+
+
+class Told(Driver):
+    """Writes down every call; does what the test says."""
+
+    name = 'told'
+    summary = 'of this test'
+    order = 2
+    Parameters = NoParameters
+
+    def __init__(self, parameters, configuration):
+        super().__init__(parameters, configuration)
+        self.calls = []
+        self.answers = {}
+
+    def _call(self, name, *values):
+        self.calls.append((name, *values))
+        answer = self.answers.get(name)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    limit = LIMIT
+
+    def attach(self, node):
+        self._call('attach')
+
+    def open(self):
+        self._call('open')
+
+    def enable(self):
+        self._call('enable')
+
+    def disable(self):
+        self._call('disable')
+
+    def close(self):
+        self._call('close')
+
+    def command(self, v, t):
+        self._call('command', v, t)
+
+    def safe(self, v, t):
+        self._call('safe', v, t)
+
+    def measure(self):
+        return self._call('measure')
+
+    def trouble(self):
+        return self._call('trouble') or ''
+
+    def recover(self):
+        self._call('recover')
+
+    def report(self, report):
+        self._call('report')
+
+
+class Positions(Told):
+    """Measures the position only."""
+
+    measured = 1
+
+
+class Nothing(Told):
+    """Measures nothing."""
+
+    measured = 0
+
+
+@pytest.fixture
+def make(monkeypatch):
+    """Return the function that hosts a class of this test."""
+    def hosted(driver=Told, **overrides):
+        monkeypatch.setitem(sys.modules, 'told_driver', SimpleNamespace(Here=driver))
+        return HostedDriver(Configuration.from_flat(
+            {'driver.name': 'told_driver:Here',
+             **{key.replace('__', '.'): value for key, value in overrides.items()}}))
+    return hosted
+
+
+def names(hosted):
+    return [call[0] for call in hosted.driver.calls]
+
+
+def running(hosted):
+    hosted.open()
+    hosted.enable()
+    hosted.driver.calls.clear()
+    return hosted
+
+
+def test_life_is_called_in_order_and_each_end_once(make):
+    hosted = make()
+    hosted.open(object())
+    hosted.enable()
+    assert hosted.disable(0.5, 1.0) == ''
+    assert hosted.disable(0.5, 1.0) == ''
+    assert hosted.close() == ''
+    assert hosted.close() == ''
+    assert hosted.driver.calls == [('attach',), ('open',), ('enable',), ('safe', 0.5, 1.0),
+                                   ('disable',), ('close',)]
+
+
+@pytest.mark.parametrize('error', [DriverError('not there'), OSError('not there')])
+def test_a_device_that_does_not_open_is_closed_and_said(make, error):
+    hosted = make()
+    hosted.driver.answers['open'] = error
+    with pytest.raises(DriverError, match='not there'):
+        hosted.open()
+    assert names(hosted) == ['open', 'close']
+
+
+def test_a_device_that_refuses_is_disabled_again(make):
+    hosted = make()
+    hosted.open()
+    hosted.driver.answers['enable'] = ValueError('no power')
+    with pytest.raises(DriverError, match=r'enable: ValueError: no power \(test_drivers_hosted'):
+        hosted.enable()
+    assert names(hosted) == ['open', 'enable', 'disable']
+    hosted.safe(0.0, 0.0)
+    assert names(hosted) == ['open', 'enable', 'disable']    # nothing is sent to it then
+    assert hosted.close() == ''
+
+
+def test_letting_go_goes_on_after_a_failure_and_tells_it(make):
+    hosted = running(make())
+    hosted.driver.answers['safe'] = OSError('bus off')
+    hosted.driver.answers['close'] = DriverError('still busy')
+    assert 'bus off' in hosted.disable(0.0, 0.0)
+    assert names(hosted) == ['safe', 'disable']
+    assert hosted.close() == 'still busy'
+
+
+def test_commands_and_safe_commands_are_clipped_to_the_limit_and_counted(make):
+    hosted = running(make())
+    for v in (4.0, 6.0, -math.inf, -5.0):
+        hosted.command(v, 0.1)
+    hosted.safe(9.0, 0.2)
+    assert [call[1] for call in hosted.driver.calls] == [4.0, 5.0, -5.0, -5.0, 5.0]
+    assert (hosted.commands, hosted.saturated) == (4, 2)
+    report = Report()
+    hosted.report(report)
+    assert report.values['saturated by the device [commands]'] == '2'
+    assert report.level is Level.WARN
+    assert '2 of 4 commands beyond the limit 5' in report.message
+    report = Report()
+    hosted.report(report)       # a new window
+    assert report.level is Level.OK
+
+
+@pytest.mark.parametrize('bad', [(math.nan, 0.0), (0.0,), (0.0, 0.0, 0.0), (0.0, math.inf),
+                                 ('x', 'y'), 7.0, (None, None)])
+def test_a_bad_measurement_is_none_and_three_of_them_are_trouble(make, bad):
+    hosted = running(make())
+    hosted.driver.answers['measure'] = (1.0, 2.0)
+    assert hosted.measure(0.0) == (1.0, 2.0)
+    hosted.driver.answers['measure'] = bad
+    for k in range(1, 4):
+        assert hosted.trouble() == ''
+        assert hosted.measure(0.005 * k) is None
+    assert hosted.trouble() == 'no measurement for 3 samples'
+    assert (hosted.missed, hosted.bad) == (3, 3)
+    hosted.driver.answers['measure'] = (1.0, 2.0)
+    assert hosted.recover() == ''
+    assert hosted.measure(0.1) == (1.0, 2.0)
+
+
+def test_before_the_first_measurement_none_is_no_trouble(make):
+    hosted = running(make())
+    for k in range(10):
+        assert hosted.measure(0.005 * k) is None
+    assert hosted.trouble() == ''
+    assert (hosted.missed, hosted.bad) == (10, 0)
+
+
+def test_state_hold_of_zero_waits_for_ever(make):
+    hosted = running(make(safety__state_hold=0))
+    hosted.driver.answers['measure'] = (1.0, 2.0)
+    hosted.measure(0.0)
+    hosted.driver.answers['measure'] = None
+    for k in range(50):
+        hosted.measure(0.005 * k)
+    assert hosted.trouble() == ''
+
+
+@pytest.mark.parametrize('name', ['command', 'safe', 'measure', 'trouble', 'recover', 'report'])
+def test_code_that_raises_is_trouble_with_its_place_until_it_recovers(make, name):
+    hosted = running(make())
+    hosted.driver.answers['measure'] = (1.0, 2.0)
+    hosted.driver.answers[name] = ZeroDivisionError('by zero')
+    {'command': lambda: hosted.command(1.0, 0.0), 'safe': lambda: hosted.safe(1.0, 0.0),
+     'measure': lambda: hosted.measure(0.0), 'trouble': hosted.trouble,
+     'recover': hosted.recover, 'report': lambda: hosted.report(Report())}[name]()
+    assert f'{name}: ZeroDivisionError: by zero (test_drivers_hosted.py, line ' in hosted.trouble()
+    if name in ('recover', 'trouble'):
+        assert 'ZeroDivisionError' in hosted.recover()
+    del hosted.driver.answers[name]
+    assert hosted.recover() == ''
+
+
+def test_a_diverged_simulation_ends_the_loop(make):
+    hosted = running(make())
+    hosted.driver.answers['measure'] = LoopError('diverged')
+    with pytest.raises(LoopError, match='diverged'):
+        hosted.measure(0.0)
+
+
+def test_a_driver_that_measures_too_little_is_refused(make):
+    with pytest.raises(ConfigurationError, match='measures 0'):
+        make(Nothing)
+
+
+def test_the_velocity_of_positions_is_observed_with_the_reference_s_acceleration(make):
+    a = -0.7
+    with_it, without = running(make(Positions)), running(make(Positions))
+    errors = []
+    for k in range(400):
+        t = 0.005 * k
+        x, v = 0.3 * t + 0.5 * a * t * t, 0.3 + a * t
+        with_it.reference(Reference(k, t, (0.0, 0.0, a)))
+        found = []
+        for hosted in (with_it, without):
+            hosted.driver.answers['measure'] = (x,)
+            found.append(hosted.measure(t))
+        assert found[0][0] == x
+        errors.append([item[1] - v for item in found])
+    assert abs(errors[-1][0]) < 1e-9
+    # Without it the error of a double pole ω under an acceleration is nearly 2a/ω.
+    assert errors[-1][1] == pytest.approx(-2.0 * a / 50.0, rel=0.2)
+
+
+def test_a_reference_that_is_old_is_not_believed(make):
+    hosted = running(make(Positions))
+    hosted.reference(Reference(0, 0.0, (0.0, 0.0, 100.0)))
+    for k in range(3):
+        hosted.driver.answers['measure'] = (0.0,)
+        found = hosted.measure(10.0 + 0.005 * k)
+    assert found == (0.0, 0.0)
+
+
+def test_slow_calls_are_counted(make, monkeypatch):
+    clock = iter([0.0, 0.001, 1.0, 1.004, 2.0, 2.0, 3.0, 3.0, 4.0, 4.0])
+    hosted = running(make())
+    monkeypatch.setattr('time.perf_counter', lambda: next(clock))
+    hosted.command(1.0, 0.0)
+    hosted.command(1.0, 0.0)
+    assert hosted.slow == 1
+    assert hosted.slowest == pytest.approx(0.004)

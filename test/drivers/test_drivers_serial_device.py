@@ -1,0 +1,286 @@
+"""The device's machine: its table of modes, its watchdog, and that C and Python are the same."""
+
+import ctypes
+import itertools
+
+from hypothesis import example, given, HealthCheck, settings
+from hypothesis import strategies as st
+import pytest
+
+from dz_ros.drivers.serial.device import Device, IDLE_PERIOD_US, MIN_PERIOD_US
+from dz_ros.drivers.serial.framing import cobs_decode, cobs_encode, pack, Receiver
+from dz_ros.drivers.serial.protocol import Command, decode, Hello, Info, Mode, Request, State
+
+INFO = Info(0, 2, 500, 0.5, (0.25, 2.0), 'bench')
+SESSION = 77
+
+
+class Bench:
+    """A device on a bench: hears what the test sends, keeps what it sends and actuates."""
+
+    def __init__(self):
+        self.values, self.fault, self.actuated = [3, -4], 0, []
+        self.now = 1000
+        self.device = Device(INFO, lambda: (self.values, self.fault), self.actuated.append)
+        self._receiver = Receiver()
+
+    def step(self, *frames, after=1000):
+        self.now += after
+        sent = self.device.step(b''.join(pack(frame.body()) for frame in frames), self.now)
+        return [decode(body) for body in self._receiver.feed(sent)]
+
+    def ask(self, request, seq, v=0, safe=0, hold=50, session=SESSION, after=1000):
+        return self.step(Command(session, seq, v, safe, hold, request), after=after)
+
+
+@pytest.fixture
+def bench():
+    made = Bench()
+    info, *_ = made.step(Hello(SESSION, 1000))
+    assert info == Info(SESSION, *list(vars(INFO).values())[1:])
+    return made
+
+
+def test_before_a_greeting_it_says_so_and_takes_nothing():
+    bench = Bench()
+    states = [frame for _ in range(250) for frame in bench.ask(Request.RUN, 5, v=9, session=0)]
+    assert [state.session for state in states] == [0] * len(states)
+    assert len(states) == 1 + 250 * 1000 // IDLE_PERIOD_US
+    assert bench.actuated == [None]
+
+
+@pytest.mark.parametrize(('path', 'mode', 'actuated'), [
+    ((Request.RUN,), Mode.RUN, 7),
+    ((Request.SAFE,), Mode.SAFE, -2),
+    ((Request.SAFE, Request.RUN), Mode.RUN, 7),
+    ((Request.RUN, Request.SAFE), Mode.SAFE, -2),
+    ((Request.RUN, Request.DISABLE), Mode.DISABLED, None),
+    ((Request.SAFE, Request.DISABLE), Mode.DISABLED, None),
+    ((Request.RUN, Request.ESTOP), Mode.ESTOP, None),
+    ((Request.ESTOP, Request.RUN), Mode.ESTOP, None),
+    ((Request.ESTOP, Request.SAFE), Mode.ESTOP, None),
+    ((Request.ESTOP, Request.DISABLE), Mode.ESTOP, None),
+    ((Request.ESTOP, Request.RESET), Mode.DISABLED, None),
+    ((Request.RUN, Request.RESET), Mode.RUN, 7),
+    ((Request.ESTOP, Request.RESET, Request.RUN), Mode.RUN, 7),
+])
+def test_table_of_modes(bench, path, mode, actuated):
+    for seq, request in enumerate(path):
+        (state,) = bench.ask(request, seq, v=7, safe=-2)
+    assert (state.mode, state.echo, state.values) == (mode, len(path) - 1, (3, -4))
+    assert bench.actuated[-1] == actuated
+
+
+def test_commands_are_clipped_to_the_limit(bench):
+    for seq, (v, safe) in enumerate([(501, 0), (-2 ** 31, 0), (2 ** 31 - 1, 0)]):
+        bench.ask(Request.RUN, seq, v, safe)
+        assert abs(bench.actuated[-1]) == 500
+    bench.ask(Request.SAFE, 9, 0, -900)
+    assert bench.actuated[-1] == -500
+
+
+def test_watchdog_takes_the_safe_command_once_and_a_new_command_wakes_it(bench):
+    bench.ask(Request.RUN, 1, v=7, safe=-2, hold=5)
+    for _ in range(4):
+        (state,) = bench.step()
+        assert state.mode is Mode.RUN
+    for _ in range(10):
+        (state,) = bench.step()
+        assert (state.mode, state.trips) == (Mode.SAFE, 1)
+    assert bench.actuated[-1] == -2
+    (state,) = bench.ask(Request.RUN, 2, v=8)
+    assert (state.mode, bench.actuated[-1]) == (Mode.RUN, 8)
+
+
+def test_old_repeated_and_foreign_commands_are_not_taken(bench):
+    bench.ask(Request.RUN, 2 ** 32 - 1, v=1)
+    for seq, session in ((2 ** 32 - 1, SESSION), (2 ** 32 - 9, SESSION), (5, SESSION + 1), (5, 0)):
+        (state,) = bench.ask(Request.RUN, seq, v=99, session=session)
+        assert (state.echo, bench.actuated[-1]) == (2 ** 32 - 1, 1)
+    (state,) = bench.ask(Request.RUN, 0, v=2)
+    assert (state.echo, bench.actuated[-1]) == (0, 2)
+
+
+def test_what_is_not_taken_does_not_feed_the_watchdog(bench):
+    bench.ask(Request.RUN, 1, v=7, hold=5)
+    for _ in range(6):
+        (state,) = bench.ask(Request.RUN, 1, v=7, hold=5)
+    assert state.mode is Mode.SAFE
+
+
+def test_a_fault_is_latched_until_reset_and_back_while_it_lasts(bench):
+    bench.ask(Request.RUN, 1, v=7)
+    bench.fault = 9
+    (state,) = bench.step()
+    assert (state.mode, state.fault, bench.actuated[-1]) == (Mode.FAULT, 9, None)
+    (state,) = bench.ask(Request.RESET, 2)
+    assert (state.mode, state.fault) == (Mode.FAULT, 9)
+    bench.fault = 0
+    (state,) = bench.ask(Request.RUN, 3, v=7)
+    assert (state.mode, state.fault) == (Mode.FAULT, 9)
+    (state,) = bench.ask(Request.RESET, 4)
+    assert (state.mode, state.fault) == (Mode.DISABLED, 0)
+
+
+def test_a_new_session_takes_power_away_the_same_one_changes_nothing(bench):
+    bench.ask(Request.RUN, 5, v=7)
+    info, state = bench.step(Hello(SESSION, 1000))
+    assert (state.mode, state.echo) == (Mode.RUN, 5)
+    info, state = bench.step(Hello(SESSION + 1, 1000))
+    assert (info.session, state.session, state.mode) == (SESSION + 1, SESSION + 1, Mode.DISABLED)
+    assert bench.actuated[-1] is None
+    bench.ask(Request.RUN, 1, v=7, session=SESSION + 1)     # counts begin anew
+    assert bench.actuated[-1] == 7
+
+
+def test_states_come_at_the_period_asked_for_never_two_at_once(bench):
+    bench.step(Hello(SESSION, 5000))
+    times = [frame.time_us for _ in range(40) for frame in bench.step()]
+    assert {b - a for a, b in itertools.pairwise(times)} == {5000}
+    assert len(bench.step(after=23_000)) == 1
+    bench.step(Hello(SESSION, 1))
+    times = [frame.time_us for _ in range(50) for frame in bench.step(after=50)]
+    assert {b - a for a, b in itertools.pairwise(times)} == {MIN_PERIOD_US}
+
+
+# The firmware in C beside the device in Python.
+
+class Hardware(ctypes.Structure):
+    READ = ctypes.CFUNCTYPE(ctypes.c_size_t, ctypes.c_void_p, ctypes.POINTER(ctypes.c_uint8),
+                            ctypes.c_size_t)
+    WRITE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.POINTER(ctypes.c_uint8),
+                             ctypes.c_size_t)
+    MEASURE = ctypes.CFUNCTYPE(ctypes.c_uint16, ctypes.c_void_p, ctypes.POINTER(ctypes.c_int32))
+    ACTUATE = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int, ctypes.c_int32)
+    _fields_ = [('read', READ), ('write', WRITE), ('measure', MEASURE), ('actuate', ACTUATE),
+                ('self', ctypes.c_void_p)]
+
+
+class Description(ctypes.Structure):
+    _fields_ = [('values', ctypes.c_uint8), ('limit', ctypes.c_int32),
+                ('command_scale', ctypes.c_float), ('state_scales', ctypes.c_float * 4),
+                ('name', ctypes.c_char * 16)]
+
+
+class Firmware:
+    """The device in C, with the interface of the one in Python."""
+
+    def __init__(self, library, info, measure, actuate):
+        self._library = library
+        self._in, self._out = b'', b''
+
+        def read(_, data, size):
+            piece, self._in = self._in[:size], self._in[size:]
+            ctypes.memmove(data, piece, len(piece))
+            return len(piece)
+
+        def write(_, data, size):
+            self._out += ctypes.string_at(data, size)
+
+        def sense(_, values):
+            found, fault = measure()
+            for place, value in enumerate(found):
+                values[place] = value
+            return fault
+
+        self._hardware = Hardware(
+            Hardware.READ(read), Hardware.WRITE(write), Hardware.MEASURE(sense),
+            Hardware.ACTUATE(lambda _, powered, v: actuate(v if powered else None)), None)
+        self._description = Description(info.values, info.limit, info.command_scale,
+                                        (ctypes.c_float * 4)(*info.state_scales),
+                                        info.name.encode())
+        self._memory = ctypes.create_string_buffer(1024)
+        library.dz_device_init(self._memory, ctypes.byref(self._hardware),
+                               ctypes.byref(self._description))
+
+    def step(self, received, now):
+        self._in, self._out = received, b''
+        self._library.dz_device_step(self._memory, ctypes.c_uint32(now % 2 ** 32))
+        assert not self._in, 'the firmware did not read everything'
+        return self._out
+
+
+@pytest.fixture(scope='module')
+def library(firmware_library):
+    found = ctypes.CDLL(str(firmware_library))
+    found.dz_crc32.restype = ctypes.c_uint32
+    found.dz_cobs_encode.restype = found.dz_cobs_decode.restype = ctypes.c_size_t
+    found.dz_crc32.argtypes = [ctypes.c_char_p, ctypes.c_size_t]
+    found.dz_cobs_encode.argtypes = found.dz_cobs_decode.argtypes = [
+        ctypes.c_char_p, ctypes.c_size_t, ctypes.c_char_p]
+    return found
+
+
+@given(st.binary(max_size=600))
+def test_cobs_in_c_is_cobs_in_python(library, data):
+    buffer = ctypes.create_string_buffer(800)
+    size = library.dz_cobs_encode(data, len(data), buffer)
+    assert buffer.raw[:size] == cobs_encode(data)
+    size = library.dz_cobs_decode(data, len(data), buffer)
+    expected = cobs_decode(data)
+    assert (None if size == 2 ** (8 * ctypes.sizeof(ctypes.c_size_t)) - 1
+            else buffer.raw[:size]) == expected
+
+
+def test_crc_in_c_has_the_check_value(library):
+    assert library.dz_crc32(b'123456789', 9) == 0xCBF43926
+
+
+SMALL = st.integers(0, 3)
+SAID = st.one_of(
+    st.builds(Hello, SMALL, st.sampled_from((0, 1, 1000, 5000))),
+    st.builds(Command, SMALL, st.integers(0, 6) | st.integers(2 ** 32 - 3, 2 ** 32 - 1),
+              st.integers(-2 ** 31, 2 ** 31 - 1), st.integers(-600, 600),
+              st.sampled_from((0, 1, 5, 1000, 1001)), st.integers(0, 5)))
+PIECES = st.one_of(
+    SAID.map(lambda frame: pack(frame.body())),
+    st.binary(max_size=20),
+    st.tuples(SAID, st.integers(0, 30), st.integers(1, 255)).map(
+        lambda item: damaged(pack(item[0].body()), *item[1:])),
+    st.just(pack(b'\x02' + Hello(1, 1).body()[1:])), st.just(b'\x01' * 80))
+STEPS = st.lists(st.tuples(
+    st.lists(PIECES, max_size=3).map(b''.join), st.integers(0, 3000) | st.just(40_000),
+    st.integers(-2 ** 31, 2 ** 31 - 1), st.sampled_from((0, 0, 0, 0, 3))), max_size=40)
+
+
+def damaged(frame, at, by):
+    """Return a frame with a byte changed."""
+    place = at % len(frame)
+    return frame[:place] + bytes([frame[place] ^ by]) + frame[place + 1:]
+
+
+@settings(max_examples=500, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(STEPS)
+@example([(pack(Hello(1, 1000).body()), 0, 0, 0),
+          (pack(Command(1, 1, 5, 6, 1, 1).body()), 10, -1, 0), (b'', 999, 1, 0), (b'', 1, 1, 0)])
+def test_firmware_and_emulated_device_send_and_actuate_the_same(library, steps):
+    now = 5
+    sensed, actuated, devices = [[0, 0], 0], ([], []), []
+    devices.append(Device(INFO, lambda: sensed, actuated[0].append))
+    devices.append(Firmware(library, INFO, lambda: sensed, actuated[1].append))
+    for received, after, value, fault in steps:
+        now += after
+        sensed[:] = [value, -value - 1], fault
+        sent = [device.step(received, now) for device in devices]
+        assert sent[0] == sent[1]
+        assert actuated[0] == actuated[1]
+
+
+def test_the_firmwares_clock_may_wrap_around(library):
+    sensed, actuated = ([0, 0], 0), []
+    device = Firmware(library, INFO, lambda: sensed, actuated.append)
+    receiver = Receiver()
+    start = 2 ** 32 - 500_000
+    device.step(pack(Hello(1, 1000).body()), start)
+    states = []
+    for k in range(1, 1001):
+        sent = device.step(pack(Command(1, k, k, 0, 5, Request.RUN).body()), start + 1000 * k)
+        states += [decode(body) for body in receiver.feed(sent)]
+    assert [state.mode for state in states] == [Mode.RUN] * 1000
+    assert actuated[-1000:] == [min(k, 500) for k in range(1, 1001)]
+    # A clock that comes round while nobody commands wakes nothing.
+    for after in (6_000, 2 ** 31, 2 ** 32 - 6_000, 2 ** 32):
+        for body in receiver.feed(device.step(b'', start + 1_000_000 + after)):
+            assert decode(body).mode is Mode.SAFE
+    assert actuated[-1] == 0
+    assert isinstance(states[-1], State)
