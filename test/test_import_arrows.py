@@ -29,9 +29,11 @@ ARROWS = {
     'recording': LEAVES | READERS | {'core'},
     'analysis': LEAVES | {'core'},
     'studies': LEAVES | {'core', 'analysis'},
+    'identification': LEAVES | {'core', 'drivers', 'analysis', 'studies'},
     'runtime': LEAVES,
     'nodes': LEAVES | READERS | {'core', 'drivers', 'recording', 'runtime'},
-    'cli': LEAVES | READERS | {'core', 'drivers', 'recording', 'analysis', 'studies', 'runtime'},
+    'cli': LEAVES | READERS | {'core', 'drivers', 'recording', 'analysis', 'studies', 'runtime',
+            'identification'},
 }
 ROS = {'rclpy', 'std_msgs', 'std_srvs', 'rcl_interfaces', 'rosgraph_msgs', 'builtin_interfaces',
        'diagnostic_msgs', 'lifecycle_msgs', 'launch', 'launch_ros', 'ament_index_python'}

@@ -1,22 +1,23 @@
 """From repeats to bounds: what a parameter was in each repeat, and what it may be (ours).
 
-p_j, j = 1 … R, is a break point or slope as repeat j tells it. It differs from repeat to repeat
+p_j, j = 1 … R, is a break point or slope at repeat j (`drifting`). It differs from one to another
 because the device drifts, because the measurement is noisy, and because of whatever acts on the
 device that nobody modelled. The bounds are a tolerance interval of these values: with 95 %
-confidence they hold 95 % of all the values the parameter takes while it goes on as it did,
+confidence they hold 90 % of all the values the parameter takes while it goes on as it did,
 
-    p̄ ± √((k s)² + (t e)²),   k = z_{0.975} √((R − 1)(1 + 1/R)/χ²_{0.05, R−1})       [howe1969]
+    p̄ ± √((k s)² + (t e)²),   k = z_{0.95} √((R − 1)(1 + 1/R)/χ²_{0.05, R−1})       [howe1969]
 
 s: standard deviation of the p_j; k for normally distributed, independent p_j; 12 repeats have
-k = 3.16. e: standard error of what all repeats have in common, the constants a_i, found by leaving
-out one repeat after the other (jackknife), with t = t_{0.975, R−1}.
+k = 2.66. e: standard error of their mean, which also holds what all repeats have in common, the
+constants a_i; t = t_{0.975, R−1}.
 
 What that means, and what not:
 
 - A parameter that does not drift gets bounds that hold it, as wide as noise makes them.
-- One that drifts with an amplitude A as a sine gets about ±2.2 A, 2.2 times its whole range 2 A:
+- One that drifts with an amplitude A as a sine gets about ±1.9 A, 1.9 times its whole range 2 A:
   it is given the tails of a normal distribution, which a sine does not have. A steady drift over
-  the experiment gets about 1.9 times its range. Noise adds to both.
+  the experiment gets about 1.6 times its range. So drifts of these kinds lie within the bounds
+  altogether. Noise adds to both.
 - *Drift* is what happened during the experiment, from repeat to repeat. Slower drift shows in
   part, what is faster than a repeat is averaged; nothing is said of a device that changes later.
 - An error that every repeat makes alike shows in no scatter: a wrong model of friction, a wrong
@@ -36,13 +37,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dz_ros.errors import RecordingError
+from dz_ros.identification.drifting import solve_drifting
 from dz_ros.identification.plan import LEAST_REPEATS
-from dz_ros.identification.regression import Line, solve, ZONE
+from dz_ros.identification.regression import solve, ZONE
 from dz_ros.identification.stretches import Stack, Stretch
 
 Array = NDArray[np.float64]
 
-CONTENT = CONFIDENCE = 0.95
+CONTENT, CONFIDENCE = 0.9, 0.95
 
 
 @dataclass(frozen=True)
@@ -88,14 +90,16 @@ class Identified:
 
     Attributes:
         bounds: By name, in the order of `ZONE`.
-        pooled: Fit of all repeats together, in which the dead-zone is a constant.
+        a: a_i, then the factor of the modelled disturbance, where there is one.
+        residual: RMS of what the equation leaves, in the unit of what was measured last.
         times: Middle of each repeat [s], shape (R,).
         stretches: How many stretches of motion tell.
         delay: Samples after which a command acts.
     """
 
     bounds: dict[str, Bound]
-    pooled: Line
+    a: Array
+    residual: float
     times: Array
     stretches: int
     delay: int
@@ -130,31 +134,19 @@ def identify(found: Sequence[Stretch], period: float, times: int = 1,
     Raises:
         RecordingError: They do not tell, or there are too few repeats.
     """
-    pooled = solve(Stack(found, period, times))
     repeats = sorted({item.repeat for item in found if item.repeat >= 0})
-    groups = [[item for item in found if item.repeat == number] for number in repeats]
-    lines, kept, stacks = [], [], []
-    for group in groups:
-        stack = Stack(group, period, times)
-        try:
-            lines.append(solve(stack, pooled.a, pooled.zone[:2]))
-        except RecordingError:
-            continue        # one that was broken off by a limit
-        kept.append(group)
-        stacks.append(stack)
-    if len(kept) < max(LEAST_REPEATS, len(groups) // 2):
-        raise RecordingError(f'of {len(groups)} repeats {len(kept)} tell break points and slopes, '
-                             f'{max(LEAST_REPEATS, len(groups) // 2)} are needed: allow more '
-                             'speed, travel and effort')
-    values = np.array([line.zone for line in lines])
-    others = [Stack([item for item in found if item.repeat != group[0].repeat], period, times)
-              for group in kept]
-    common = _jackknife(others, stacks, pooled)
-    errors = np.array([line.errors for line in lines])
-    return Identified(
-        {name: _bound(name, values[:, i], float(np.sqrt(np.mean(errors[:, i] ** 2))),
-                      float(common[i])) for i, name in enumerate(ZONE)},
-        pooled, np.array([_middle(group) * period for group in kept]), len(found), delay)
+    if len(repeats) < LEAST_REPEATS:
+        raise RecordingError(f'{len(repeats)} repeats show motion, {LEAST_REPEATS} are needed')
+    stack = Stack(found, period, times)
+    nodes = np.array([period * np.mean([np.mean(item.rows) for item in found
+                                        if item.repeat == number]) for number in repeats])
+    middles = np.array([period * np.mean(item.rows) for item in found])
+    pooled = solve(stack)
+    line = solve_drifting(stack, middles, nodes, pooled)
+    noise = np.sqrt(np.mean(line.errors ** 2, axis=0))
+    return Identified({name: _bound(name, line.values[:, i], float(noise[i]),
+                                    float(line.common[i])) for i, name in enumerate(ZONE)},
+                      line.a, line.residual, nodes, len(found), delay)
 
 
 def _bound(name: str, values: Array, noise: float, common: float) -> Bound:
@@ -174,23 +166,3 @@ def _bound(name: str, values: Array, noise: float, common: float) -> Bound:
                              'differ too much to say; make more and longer ones, or keep away '
                              'what disturbs the device')
     return Bound(name, values, low, high, spread, noise, common)
-
-
-def _jackknife(others: Sequence[Stack], stacks: Sequence[Stack], pooled: Line) -> Array:
-    """Return the standard error of the means that comes from what repeats share, shape (4,).
-
-    Args:
-        others: For each repeat the stretches of all the others.
-        stacks: The stretches of each repeat.
-        pooled: Where to begin.
-    """
-    means = []
-    for rest in others:
-        a = solve(rest, None, pooled.zone[:2]).a
-        means.append(np.mean([solve(item, a, pooled.zone[:2]).zone for item in stacks], axis=0))
-    spread: Array = np.std(np.array(means), axis=0)
-    return spread * math.sqrt(len(means) - 1)
-
-
-def _middle(group: Sequence[Stretch]) -> float:
-    return 0.5 * (group[0].rows[0] + group[-1].rows[1])

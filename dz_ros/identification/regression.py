@@ -8,7 +8,8 @@ lines [muggeo2003]):
     b_r ← b_r + δ_r                                                            until it stays
 
 b and m show only as their product. a_i are constants of the plant, as (6) has them: they are found
-from all repeats together; break points and slopes, which may drift, from each repeat by itself.
+from all repeats together. Here break points and slopes are constants as well; `drifting` lets them
+drift, and begins with what is found here.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ Array = NDArray[np.float64]
 ZONE = ('b_r', 'b_l', 'b·m_r', 'b·m_l')
 """What a repeat tells, in this order."""
 
-BLIND = ('the motion does not tell friction, slopes and break points apart: allow more speed, travel '
-         'and effort')
+BLIND = ('the motion does not tell friction, slopes and break points apart: allow more speed, '
+         'travel and effort')
 ROUNDS = 40
 """Iterations at most."""
 CLOSE = 1e-6
@@ -89,7 +90,7 @@ def _search(stack: Stack, a: Array | None, ends: Array) -> Line:
     target = stack.left if a is None else stack.left + stack.y @ a
     step = 0.5 * most
     for _ in range(ROUNDS):
-        columns = stack.integral(_hinges(stack.v, ends))
+        columns = stack.integral(hinges(stack.v, ends))
         if a is None:
             columns = np.column_stack([-stack.y, columns])
         scale = np.sqrt((columns * columns).sum(axis=0))
@@ -115,8 +116,14 @@ def _search(stack: Stack, a: Array | None, ends: Array) -> Line:
                 np.array([*(spread[:2] / slopes), *spread[2:]]), math.sqrt(variance))
 
 
-def _hinges(v: Array, ends: Array) -> Array:
-    """Return what multiplies −b m_r δ_r, −b m_l δ_l, b m_r, b m_l in each sample."""
-    above, below = v > ends[0], v < ends[1]
-    return np.column_stack([above, below, np.where(above, v - ends[0], 0.0),
-                            np.where(below, v - ends[1], 0.0)])
+def hinges(v: Array, ends: Array) -> Array:
+    """Return what multiplies −b m_r δ_r, −b m_l δ_l, b m_r, b m_l in each sample, shape (N, 4).
+
+    Args:
+        v: Commands, shape (N,).
+        ends: Break points b_r, b_l, shape (2,) or (N, 2).
+    """
+    b_r, b_l = ends[..., 0], ends[..., 1]
+    above, below = v > b_r, v < b_l
+    return np.column_stack([above, below, np.where(above, v - b_r, 0.0),
+                            np.where(below, v - b_l, 0.0)])

@@ -70,6 +70,7 @@ class Stack:
         left: What was measured, free of c, shape (N,).
         y: Integrals of the stretches' y, free of c, shape (N, r) or (N, r + 1).
         count: Number of stretches.
+        owner: Number of the stretch that each sample belongs to, shape (N,).
     """
 
     def __init__(self, found: Sequence[Stretch], period: float, times: int) -> None:
@@ -77,16 +78,22 @@ class Stack:
         self.count = len(found)
         self._times, self._period = times, period
         self._starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
-        self._owner = np.repeat(np.arange(len(found)), lengths)
+        self.owner = np.repeat(np.arange(len(found)), lengths)
         self._lengths = lengths[:, np.newaxis]
-        place = np.arange(len(self._owner)) - self._starts[self._owner]
-        line = place - 0.5 * (lengths[self._owner] - 1.0)
+        place = np.arange(len(self.owner)) - self._starts[self.owner]
+        line = place - 0.5 * (lengths[self.owner] - 1.0)
         power = np.add.reduceat(line * line, self._starts)
-        self._line = (line / np.sqrt(power)[self._owner])[:, np.newaxis]
+        self._line = (line / np.sqrt(power)[self.owner])[:, np.newaxis]
         self.v = np.concatenate([item.v for item in found])
-        self.left = self.without(np.concatenate([item.left for item in found])[:, np.newaxis])[:, 0]
+        left = np.concatenate([item.left for item in found])
+        self.left = self.without(left[:, np.newaxis])[:, 0]
         y = np.concatenate([item.y for item in found])
         self.y = self.integral(0.5 * (y + np.vstack([y[1:], y[-1:]])))
+
+    @property
+    def edges(self) -> list[tuple[int, int]]:
+        """First sample of each stretch and the first after it."""
+        return list(pairwise([*self._starts.tolist(), len(self.v)]))
 
     def integral(self, held: Array) -> Array:
         """Return the integrals of what is held from each sample on, free of c.
@@ -96,23 +103,23 @@ class Stack:
         """
         once = self._sum(held)
         if self._times > 1:
-            # z held within a sample is not constant: z T + ½ T² z', which is the mean of both ends.
+            # Over a sample z grows evenly: its integral is T times the mean of both ends.
             following = np.vstack([once[1:], once[-1:]])
             once = self._sum(0.5 * (once + following))
         return self.without(once)
 
     def without(self, values: Array) -> Array:
         """Return values free of a constant, and of a straight line where integrated twice."""
-        found = values - (np.add.reduceat(values, self._starts) / self._lengths)[self._owner]
+        found = values - (np.add.reduceat(values, self._starts) / self._lengths)[self.owner]
         if self._times > 1:
             found = found - self._line * np.add.reduceat(found * self._line,
-                                                         self._starts)[self._owner]
+                                                         self._starts)[self.owner]
         return found
 
     def _sum(self, held: Array) -> Array:
         """Return T times the sum of all samples of the stretch before each."""
         before = np.cumsum(held, axis=0) - held
-        found: Array = (before - before[self._starts][self._owner]) * self._period
+        found: Array = (before - before[self._starts][self.owner]) * self._period
         return found
 
 
@@ -147,7 +154,7 @@ def stretches(samples: Samples, c: Configuration, margin: float, delay: int = 0)
     shortest = max(8, round(SHORTEST / period))
     found = []
     for low, high in pairwise(edges):
-        low = max(low, delay)  # noqa: PLW2901
+        low = max(low, delay)
         if high - low < shortest or side[low] == 0.0:
             continue
         pieces = math.ceil((high - low) * period / LONGEST)
