@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Generator, Sequence
+from itertools import pairwise
 import math
 import random
 from statistics import mean, stdev
@@ -153,19 +154,22 @@ class Experiment:
             seen.append(self._recent[-1])
             yield self._safe
         columns = list(zip(*seen, strict=True))
-        self.noise = tuple(map(stdev, columns))
+        # Of differences, so that a drift is not taken for noise.
+        self.noise = tuple(stdev(b - a for a, b in pairwise(item)) / math.sqrt(2.0)
+                           for item in columns)
         half = len(seen) // 2
         first, last = mean(columns[0][:half]), mean(columns[0][half:])
         self.home = mean(columns[0])
+        self._x = last - self.home
+        if abs(last - first) > max(0.05 * self.limits.travel, NOISE * self.noise[0]):
+            raise DriverError(f'the device does not rest under the command {self._safe:g}: it '
+                              f'went from {first:.4g} to {last:.4g} within a second; hold it, or '
+                              'use a run of a loop that holds it (--from)')
         index = int(self._placed)
         self.moving = max(self.moving, NOISE * self.noise[index] / len(self._recent) ** 0.5)
         if self.moving > 0.5 * FAST * self._fast:
             raise DriverError(f'the noise of x{index}, {self.noise[index]:.3g}, hides motion: '
                               f'allow more than {self._fast:g}')
-        if abs(last - first) > max(0.05 * self.limits.travel, NOISE * self.noise[0]):
-            raise DriverError(f'the device does not rest under the command {self._safe:g}: it '
-                              f'went from {first:.4g} to {last:.4g} within a second; hold it, or '
-                              'use a run of a loop that holds it (--from)')
 
     def _move(self, kind: str, side: int, coasting: bool, place: float | None = None) -> Moves:
         """Drive to one side until far or fast enough, then stop.
@@ -202,7 +206,7 @@ class Experiment:
             if step or v >= self.limits.effort:
                 waited += self._period
             v = v if step else min(v + self._rate * self._period, self.limits.effort)
-        if not moving:
+        if not moving and waited > self.plan.ramp:
             raise DriverError(f'no motion {"right" if side > 0 else "left"} up to |v| = {v:.4g}: '
                               'allow more effort, or look whether it is blocked')
         if kind == 'ramp':
