@@ -87,15 +87,15 @@ def draw(found: Sequence[Stretch], result: Identified, c: Configuration, times: 
                        label='motion began' if i == 0 else None, gid='breakaway')
         ax.set_xlabel(axis_label('v', unit))
         ax.set_ylabel(axis_label('w = D(v)', unit))
-        ax.set_title('Measured characteristic', pad=22.0)
-        legend(ax, 4)
+        ax.set_title('Measured characteristic', pad=14.0)
+        legend(ax, 2)
         for row, (names, label) in enumerate(((('b_r', 'b_l'), '|b|'),
                                               (('b·m_r', 'b·m_l'), 'm'))):
             lower = figure.add_subplot(grid[row, 1])
             scale = 1.0 if row == 0 else c.plant.b
             _over_time(lower, result, names, scale)
             lower.set_ylabel(axis_label(label, unit if row == 0 else '1'))
-            lower.set_title('Break points' if row == 0 else 'Slopes', pad=22.0)
+            lower.set_title('Break points' if row == 0 else 'Slopes', pad=14.0)
             if row:
                 lower.set_xlabel('time  [s]')
             legend(lower, 2)
@@ -120,7 +120,7 @@ def _characteristic(ax: Any, v: Array, w: Array, result: Identified, b: float) -
     outer = zone(b_r.low, b_l.high, right.high, left.high)
     ax.fill_between(x, np.minimum(inner, outer), np.maximum(inner, outer), color=PALE, lw=0,
                     label='within the bounds', gid='bounds')
-    ax.plot(v, w, '.', ms=2.2, color=GREY, alpha=0.6, mew=0, label='measured', gid='measured')
+    ax.plot(v, w, '.', ms=3.5, color=GREY, mew=0, label='measured', gid='measured')
     ax.plot(x, zone(b_r.value, b_l.value, right.value, left.value), color=BLUE, lw=1.4,
             label='mean of the repeats', gid='mean')
     fit_y(ax, inner, outer, np.quantile(w, [0.005, 0.995]))
