@@ -8,7 +8,7 @@ confidence they hold 90 % of all the values the parameter takes while it goes on
     p̄ ± √((k s)² + (t e)²),   k = z_{0.95} √((R − 1)(1 + 1/R)/χ²_{0.05, R−1})       [howe1969]
 
 s: standard deviation of the p_j; k for normally distributed, independent p_j; 12 repeats have
-k = 2.66. e: standard error of their mean, which also holds what all repeats have in common, the
+k = 2.65. e: standard error of their mean, which also holds what all repeats have in common, the
 constants a_i; t = t_{0.975, R−1}.
 
 What that means, and what not:

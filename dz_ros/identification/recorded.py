@@ -134,4 +134,4 @@ def _motion(samples: Samples) -> float:
     speed = samples.x[:, 1][np.isfinite(samples.x[:, 1])]
     noise = float(np.diff(speed, n=3).std()) / np.sqrt(20.0)
     filtered = noise / np.sqrt(max(1.0, SMOOTH / samples.period))
-    return max(MOVING * float(np.quantile(np.abs(speed), 0.99)), NOISE * filtered)
+    return float(max(MOVING * float(np.quantile(np.abs(speed), 0.99)), NOISE * filtered))

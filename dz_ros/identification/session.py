@@ -55,7 +55,7 @@ class Samples:
     @property
     def t(self) -> Array:
         """Loop time [s]."""
-        return self.seq * self.period
+        return np.asarray(self.seq * self.period, dtype=float)
 
 
 def run_session(configuration: Configuration, experiment: Experiment,

@@ -114,7 +114,8 @@ class Stack:
         if self._times > 1:
             found = found - self._line * np.add.reduceat(found * self._line,
                                                          self._starts)[self.owner]
-        return found
+        cleared: Array = found
+        return cleared
 
     def _sum(self, held: Array) -> Array:
         """Return T times the sum of all samples of the stretch before each."""
@@ -142,8 +143,9 @@ def stretches(samples: Samples, c: Configuration, margin: float, delay: int = 0)
     half = max(2, round(SMOOTH / period))
     smooth = _smoothed(x, joined, half, n, period)
     known = np.isfinite(smooth).all(axis=1)
-    side = np.ones(len(smooth)) if n == 1 else np.sign(smooth[:, 1]) * (
-        np.abs(smooth[:, 1]) > margin)
+    side = np.ones(len(smooth))
+    if n > 1:
+        side = np.where(np.abs(smooth[:, 1]) > margin, np.sign(smooth[:, 1]), 0.0)
     side = np.where(known, side, 0.0)
     y = np.array([_regressors(c, t, row) for t, row in zip(samples.t.tolist(), smooth.tolist(),
                                                            strict=True)])
