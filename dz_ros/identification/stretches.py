@@ -138,11 +138,11 @@ def stretches(samples: Samples, c: Configuration, margin: float, delay: int = 0)
     """
     n, period, measured = c.plant.order, samples.period, samples.measured
     x = samples.x[:, :measured]
-    good = np.isfinite(x).all(axis=1)
+    good: NDArray[np.bool_] = np.asarray(np.isfinite(x).all(axis=1))
     joined = (np.diff(samples.seq) == 1) & good[1:] & good[:-1]
     half = max(2, round(SMOOTH / period))
     smooth = _smoothed(x, joined, half, n, period)
-    known = np.isfinite(smooth).all(axis=1)
+    known: NDArray[np.bool_] = np.asarray(np.isfinite(smooth).all(axis=1))
     side = np.ones(len(smooth))
     if n > 1:
         side = np.where(np.abs(smooth[:, 1]) > margin, np.sign(smooth[:, 1]), 0.0)
