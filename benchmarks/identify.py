@@ -34,7 +34,7 @@ def main() -> int:
     """Run all trials of each kind; print a table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--trials', type=int, default=100)
-    parser.add_argument('--repeats', type=int, default=12)
+    parser.add_argument('--repeats', type=int, default=16)
     parser.add_argument('-j', '--jobs', type=int, default=None, help='processes')
     arguments = parser.parse_args()
     print(describe('numpy', 'scipy'), flush=True)

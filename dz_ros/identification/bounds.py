@@ -7,16 +7,16 @@ confidence they hold 90 % of all the values the parameter takes while it goes on
 
     p̄ ± √((k s)² + (t e)²),   k = z_{0.95} √((R − 1)(1 + 1/R)/χ²_{0.05, R−1})       [howe1969]
 
-s: standard deviation of the p_j; k for normally distributed, independent p_j; 12 repeats have
-k = 2.65. e: standard error of their mean, which also holds what all repeats have in common, the
+s: standard deviation of the p_j; k for normally distributed, independent p_j; 16 repeats have
+k = 2.44. e: standard error of their mean, which also holds what all repeats have in common, the
 constants a_i; t = t_{0.975, R−1}.
 
 What that means, and what not:
 
 - A parameter that does not drift gets bounds that hold it, as wide as noise makes them.
-- One that drifts with an amplitude A as a sine gets about ±1.9 A, 1.9 times its whole range 2 A:
+- One that drifts with an amplitude A as a sine gets about ±1.7 A, 1.7 times its whole range 2 A:
   it is given the tails of a normal distribution, which a sine does not have. A steady drift over
-  the experiment gets about 1.6 times its range. So drifts of these kinds lie within the bounds
+  the experiment gets about 1.5 times its range. So drifts of these kinds lie within the bounds
   altogether. Noise adds to both.
 - *Drift* is what happened during the experiment, from repeat to repeat. Slower drift shows in
   part, what is faster than a repeat is averaged; nothing is said of a device that changes later.

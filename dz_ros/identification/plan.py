@@ -26,7 +26,7 @@ class Limits:
 class Plan:
     """What is done within the limits."""
 
-    repeats: int = parameter(12, '1', 'how often each kind of move is made both ways',
+    repeats: int = parameter(16, '1', 'how often each kind of move is made both ways',
                              minimum=LEAST_REPEATS, maximum=1000)
     ramp: float = parameter(4.0, 's', 'time in which a ramp would reach the largest |v|',
                             minimum=0.1, maximum=600.0)

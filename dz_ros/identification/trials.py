@@ -105,7 +105,7 @@ def device(kind: str, seed: int) -> tuple[Configuration, Limits]:
     return Configuration.from_flat(flat), limits
 
 
-def trial(kind: str, seed: int, repeats: int = 12) -> Trial:
+def trial(kind: str, seed: int, repeats: int = 16) -> Trial:
     """Return a device drawn, moved and identified.
 
     Raises:
