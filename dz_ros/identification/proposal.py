@@ -11,6 +11,7 @@ those of `dz_ros.studies.tune`, which keeps the design rules.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from dz_ros.analysis.fit_parameters import parameters_with
@@ -69,4 +70,13 @@ def propose(c: Configuration, found: Identified) -> tuple[Proposal, tuple[str, .
                      'one; set controller.design_delay accordingly')
     kept = {key: value for key, value in c.to_flat().items() if not (
         'controller.law' in keys and key.startswith('controller.') and key not in keys)}
-    return tune(Configuration.from_flat({**kept, **keys})), tuple(notes)
+    known = Configuration.from_flat({**kept, **keys})
+    try:
+        return tune(known), tuple(notes)
+    except ConfigurationError as error:
+        if error.key != '--effort' or c.plant_settings.command_limit > 0.0:
+            raise
+    # The effort of the gains as they were says nothing where they do not move this device.
+    notes.append('no limit on |v| was known: set plant.command_limit and tune again if there is '
+                 'one')
+    return tune(known, effort=math.inf), tuple(notes)

@@ -11,6 +11,7 @@ from dz_ros.core.finding import ERROR, worst
 from dz_ros.core.loop import simulate
 from dz_ros.drivers.simulated import SimulatedActuator
 from dz_ros.errors import RecordingError
+from dz_ros.files import flat_parameters
 from dz_ros.identification.bounds import identify, tolerance_factor
 from dz_ros.identification.drifting import hats
 from dz_ros.identification.evaluate import evaluate
@@ -25,7 +26,7 @@ from dz_ros.identification.trials import trial
 
 
 def moved(flat, limits, repeats=4):
-    c = Configuration.from_flat({'loop.timing': 'lockstep', **flat})
+    c = Configuration.from_flat({**flat, 'loop.timing': 'lockstep'})
     experiment = Experiment(limits, Plan(repeats=repeats), c.plant.order, c.loop.period)
     return c, run_session(c, experiment, lambda seq: seq, lambda: ''), experiment.moving
 
@@ -158,11 +159,12 @@ def test_an_experiment_written_as_a_run_tells_the_same():
 
 
 @pytest.mark.parametrize(('flat', 'limits'), [
-    ({**SERVO, 'plant.noise': [1e-3, 1e-2]}, Limits(1.5, 1.0, 4.0)),
-    ({**SURGE, 'plant.noise': [5e-3]}, Limits(0.5, 0.0, 40.0))], ids=['order 2', 'order 1'])
+    ({**SERVO, 'plant.noise': [1e-3, 1e-2], 'controller.law': 'pd', 'loop.duration': 10.0},
+     Limits(1.5, 1.0, 4.0)),
+    ({**flat_parameters('first_order', []), 'plant.noise': [1e-3], 'plant.x0': [0.0]},
+     Limits(0.5, 0.0, 40.0))], ids=['order 2', 'order 1'])
 def test_the_proposed_configuration_keeps_the_design_rules_and_runs(flat, limits):
-    c, samples, margin = moved({**flat, 'controller.law': 'pd', 'loop.duration': 10.0} if
-                               flat['plant.model'] == 'servo' else flat, limits)
+    c, samples, margin = moved(flat, limits)
     found = evaluate(samples, c, margin).result
     bounds = known_bounds(c, found)
     proposal, notes = propose(c, found)
