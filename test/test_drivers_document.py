@@ -56,7 +56,7 @@ def test_the_faults_of_the_mock_are_the_document_s():
 def test_its_commands_work_one_after_the_other(valve, processes):
     pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
     path = os.pathsep.join([str(ROOT), str(valve)])
-    commands = [line for block in blocks('sh') for line in block.splitlines()]
+    commands = [line for block in blocks('(?:sh|console)') for line in block.splitlines()]
     assert len(commands) == 6
     for command in commands:
         words = shlex.split(command)
