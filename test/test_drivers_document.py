@@ -62,11 +62,14 @@ def test_its_commands_work_one_after_the_other(valve, processes):
         words = shlex.split(command)
         assert words[0] == 'dz'
         done = processes('-m', 'dz_ros', *words[1:], cwd=valve, PYTHONPATH=path)
-        code = done.wait(120.0)
-        busy = words[1:3] == ['driver', 'check'] and code == 1      # the machine may be late
-        late = [line for line in done.output.splitlines() if line.startswith('FAILED')]
-        assert code == 0 or (busy and all(re.match(
-            r'FAILED +(rate|latency|measurement|answers)', line) for line in late)), done.output
+        code = done.wait(300.0)
+        if words[1:3] == ['driver', 'check']:   # a busy machine may be late, that is no fault here
+            assert code in (0, 1), done.output
+            assert 'killed and started again' in done.output
+            for name in ('declaration', 'opens', 'safe command', 'stop and reset', 'restart'):
+                assert re.search(rf'^ok +{name} ', done.output, re.M), done.output
+        else:
+            assert code == 0, done.output
     assert (valve / 'runs' / 'valve').is_dir()
 
 

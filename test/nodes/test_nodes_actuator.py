@@ -248,7 +248,7 @@ def test_a_run_is_read_where_its_driver_is_not_installed(processes, tmp_path):
                   ('bag', 'whatif', run, '--config', ROOT / 'config' / 'servo.yaml',
                    '--set', 'controller.lambda=2')):
         read = processes(*DZ, *words, cwd=tmp_path, PYTHONPATH=str(ROOT))
-        assert read.wait() == 0, read.output
+        assert read.wait(300.0) == 0, read.output
 
 
 def test_the_plant_s_node_does_not_pretend_to_be_another_driver(processes):
