@@ -51,6 +51,7 @@ setup(
         'serial': ['pyserial>=3.5'],            # driver.name: serial
         'test': ['distributed>=2024.1', 'hypothesis>=6.98', 'numba>=0.61', 'pyarrow>=14',
                  'pyserial>=3.5', 'pytest>=7.4'],
+        'bench': ['control>=0.10', 'py-spy>=0.3'],      # peers of benchmarks/offline.py; profiles
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [
             'catkin-pkg==1.1.1',

@@ -1,11 +1,11 @@
 """The trajectory generator as a node: the reference of the next sample, before it is needed.
 
-Publishes `reference`, subscribes `state` as its clock: after state k it sends the reference for the
-stamp of sample k + 1, so the controller need not wait for it. It does so a third of a period later
-(``runtime/aside.py``): at once, it would keep the controller from the core it needs. The loop has
-one clock, the plant's; if states stop, so does the reference. In lockstep the references are sent many samples
-ahead, so that a step need not wait for a third process; a trajectory changed meanwhile is followed
-after those.
+Publishes `reference`, subscribes `state` as its clock: after state k it sends the reference for
+the stamp of sample k + 1, so the controller need not wait for it. It does so a third of a period
+later (``runtime/aside.py``): at once, it would keep the controller from the core it needs. The
+loop has one clock, the plant's; if states stop, so does the reference. In lockstep the references
+are sent many samples ahead, so that a step need not wait for a third process; a trajectory changed
+meanwhile is followed after those.
 """
 
 from __future__ import annotations
