@@ -38,7 +38,7 @@ def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
         name: [] for name in ECHOES if not quick or name in ('events, UDP', 'plain')}
     loops: list[running.Measured] = []
     ticks: list[list[float]] = []
-    seconds = 4.0 if quick else 5.0
+    seconds = 3.0 if quick else 4.0
     for turn in range(rounds):
         for name in echoes:
             echoes[name].append(running.echo(*ECHOES[name], seconds))
@@ -152,7 +152,7 @@ def measure(quick: bool = False, parts: tuple[str, ...] = PARTS, rounds: int = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if 'latency' in parts:
-            rows += latency(folder, rounds or (1 if quick else 5), quick)
+            rows += latency(folder, rounds or (1 if quick else 4), quick)
         if 'cpu' in parts:
             rows += cpu(folder, rounds or (1 if quick else 3), quick)
         if 'rates' in parts:
