@@ -49,11 +49,12 @@ def run(arguments: argparse.Namespace) -> int:
     with _load(len(setups) * (arguments.seconds + WHOLE)):
         busy = {name: _measure(words, arguments.seconds) for name, words in setups.items()
                 if not idle[name]['refused']}
-    found = {'machine': _machine(), 'idle': idle, 'busy': busy}
+    machine = _machine()
     if arguments.json:
-        print(json.dumps(found, ensure_ascii=False, indent=2))
+        print(json.dumps({'machine': machine, 'idle': idle, 'busy': busy}, ensure_ascii=False,
+                         indent=2))
         return 0
-    for name, value in found['machine'].items():
+    for name, value in machine.items():
         print(f'{name:18} {value}')
     print('ticks of 200 Hz, late by [µs]       as it is              beside a busy process a core')
     print(_line('', *('p50', 'p99', 'max') * 2))

@@ -24,7 +24,7 @@ NODES = {'plant_node': 'PlantNode', 'actuator_node': 'ActuatorNode',
          'controller_node': 'ControllerNode',
          'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode',
          'replay_node': 'ReplayNode', 'feed_node': 'FeedNode',
-         'operator_node': 'OperatorNode'}
+         'operator_node': 'OperatorNode', 'check_node': 'CheckNode', 'live_node': 'LiveNode'}
 """Executable → class in the module of the same name."""
 PRIORITY = {'plant_node': 0, 'actuator_node': 0, 'controller_node': 0, 'trajectory_node': -1}
 """Node that may be set up by the section `process` → its priority less `process.priority`."""
@@ -150,6 +150,11 @@ def recorder_node() -> int:
 def replay_node() -> int:
     """Run the player of a recorded run."""
     return run_node('replay_node')
+
+
+def live_node() -> int:
+    """Run the live page."""
+    return run_node('live_node')
 
 
 if __name__ == '__main__':

@@ -23,6 +23,8 @@ CATCH_UP = 100
 """References of states that never came here are sent late, up to so many, to leave no gap."""
 AHEAD = 100
 """References sent ahead in lockstep, at least half as many."""
+LET_COLLECT = 0.005
+"""In lockstep, with references sent ahead, states are let collect for so long [s]."""
 LAST = 1e9
 """Stamps beyond this are none [s]."""
 SHORTEST, LONGEST = 0.002, 0.05
@@ -76,7 +78,11 @@ class TrajectoryNode(ManagedNode):
         while not self.halted:
             self.spin()
             self.diagnosing.look()
-            if self._aside is not None:
+            if self.lockstep:   # waking up costs more than answering; the loop needs the time
+                time.sleep(LET_COLLECT)
+                for _ in range(AHEAD):
+                    self.spin(0.0)
+            elif self._aside is not None:
                 self._aside.rest()
         return False
 
