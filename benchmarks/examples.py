@@ -29,7 +29,7 @@ EXAMPLES = {
     'valve_actuator': 'a third-order valve-controlled actuator',
     'step': "a step shaped by a reference model, on the paper's plant",
 }
-BEGIN, END = '<!-- demo figures: make bench writes this table -->', '<!-- end of demo figures -->'
+BEGIN, END = '<!-- demo figures: benchmarks/examples.py writes this table -->', '<!-- end of demo figures -->'
 
 
 def dz(*words: str) -> str:
