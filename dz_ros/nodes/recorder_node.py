@@ -65,7 +65,7 @@ class RecorderNode(LoopNode):
                 'namespace': self.get_namespace()}
         self._writer = QueuedWriter(RunWriter(self._directory, info, {}))
         # Log times advance with the steady clock: a step of the wall clock must not reorder a run.
-        self._epoch_ns = time.time_ns() - time.monotonic_ns()
+        self._epoch_ns = _epoch()
         self._shift_ns = 0
         self._batch: list[tuple[int, str, bytes, int]] = []
         for name, channel in CHANNELS.items():
@@ -120,7 +120,7 @@ class RecorderNode(LoopNode):
 
     def _take(self, timeout: float) -> int:
         """Wait for messages, hand over all that have come in the order of their coming."""
-        self._shift_ns = time.monotonic_ns() + self._epoch_ns - time.time_ns()
+        self._shift_ns = self._epoch_ns - _epoch()
         taken = self._taker.take_all(timeout)
         self._batch.sort(key=_log_time)
         for log_ns, topic, payload, source_ns in self._batch:
@@ -181,3 +181,12 @@ class RecorderNode(LoopNode):
 
 def _log_time(item: tuple[int, str, bytes, int]) -> int:
     return item[0]
+
+
+def _epoch() -> int:
+    """Return the wall's time at zero of the steady clock [ns], read while nothing interrupts."""
+    found = []
+    for _ in range(3):
+        before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        found.append((after - before, wall - (before + after) // 2))
+    return min(found)[1]
