@@ -40,6 +40,7 @@ VERBS = {
     ('status',): Verb('status', 'show how the nodes of running loops are, live'),
     ('estop',): Verb('estop', 'stop a loop: the safe command at both ends, until reset'),
     ('reset',): Verb('reset', 'release e-stop and faults of a loop, the actuator first'),
+    ('doctor',): Verb('doctor', 'say what this machine permits a loop and what that would gain'),
     ('simulate',): Verb('simulate', 'run the loop off line, as fast as the machine goes'),
     ('check',): Verb('check', 'say what a configuration promises and what it does not'),
     ('arena',): Verb('arena', 'compare every law in every scenario'),
@@ -54,6 +55,8 @@ VERBS = {
     ('bag', 'audit'): Verb('bag_audit', 'recompute a run and compare it bit for bit'),
     ('bag', 'compare'): Verb('bag_compare', 'lay runs side by side: metrics and figures'),
     ('bag', 'whatif'): Verb('bag_whatif', 'run a recorded loop again with something changed'),
+    ('driver', 'list'): Verb('driver_list', 'list the drivers, and why one cannot load'),
+    ('driver', 'check'): Verb('driver_check', 'hold a driver to its contract, check by check'),
 }
 """Words → verb; two words are a noun and its verb, as ``ros2`` groups its own."""
 
