@@ -59,6 +59,7 @@ class Cia402(Driver):
         self._cycle: Cycle | None = None
         self._enabled = False
         self._samples = self._late = 0
+        self._sample_at = -math.inf
 
     @property
     def measured(self) -> int:
@@ -150,18 +151,26 @@ class Cia402(Driver):
     def advance(self, t: float, seq: int) -> Truth | None:  # noqa: ARG002
         """Learn when samples end, so that SYNC goes out before."""
         if self._cycle is not None:
-            self._cycle.hear()
+            self._sample_at = self._cycle.hear(t)
             self._samples += 1
             oldest = min(self.parameters.sync_lead, self._period) + 0.5 * self._period
             self._late += self._newest(oldest) is None
         return None
 
     def measure(self) -> tuple[float, ...] | None:
-        """Return x, or x and x', as the drive last said; None where that is too long ago."""
+        """Return x, or x and x', as the drive last said; None where that is too long ago.
+
+        The drive says what was at the SYNC; x is brought from there to the sample by x'.
+        """
         found = self._newest(STALE * self._period)
         if found is None:
             return None
-        return (found.x, found.speed)[:self.measured]
+        x, now = found.x, time.monotonic()
+        if self.parameters.extrapolate and math.isfinite(found.speed):
+            # No loop, or one that waits: there is no sample but now.
+            sample = self._sample_at if abs(now - self._sample_at) < self._period else now
+            x += found.speed * min(max(sample - found.synced_at, 0.0), STALE * self._period)
+        return (x, found.speed)[:self.measured]
 
     def trouble(self) -> str:
         """Return the first thing that went wrong since the last reset."""

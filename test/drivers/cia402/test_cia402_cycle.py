@@ -27,7 +27,7 @@ def distance(instant, phase):
 @given(st.floats(0.0, 1.0), st.floats(0.0, T), st.floats(0.0, 0.004))
 def test_sync_comes_before_a_sample_and_never_twice_in_half_a_period(now, phase, lead):
     found = Phase(T)
-    found.hear(phase)
+    found.hear(phase, 0.0)
     due = found.next(now, lead)
     assert T / 2.0 - 1e-9 <= due - now <= 1.5 * T + 1e-9
     assert distance(due + lead, phase) < 1e-9
@@ -45,9 +45,18 @@ def test_the_phase_is_that_of_the_punctual_samples(late, stalls):
     for place, more in stalls:
         late[place] += more
     for k, error in enumerate(late):
-        found.hear(1.0 + k * T + error)
+        said = found.hear(1.0 + k * T + error, k * T)
+    assert abs(said - (1.0 + 299 * T)) < 0.0008
     due = found.next(10.0, 0.0)
     assert distance(due, 1.0) < 0.0008
+
+
+def test_a_loop_that_begins_anew_has_another_phase():
+    found = Phase(T)
+    for k in range(100):
+        found.hear(k * T, k * T)
+    assert found.hear(20.0021, 0.0) == 20.0021
+    assert distance(found.next(21.0, 0.0), 0.0021) < 1e-9
 
 
 class Bus:
@@ -58,7 +67,7 @@ class Bus:
         self.command = layout('torque', False, True)[0]
         self.state = DriveState.ENABLED
         self.trouble = ''
-        self.said_at = 0.0
+        self.said_at = self.synced_at = 0.0
         self.measurement = None
         self.frames = []
         self.watched = 0

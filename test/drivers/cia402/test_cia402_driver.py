@@ -1,6 +1,7 @@
 """The driver against the simulated drive: life, commands, measurements, what it refuses."""
 
 import builtins
+from dataclasses import replace
 import math
 import threading
 
@@ -77,6 +78,28 @@ def test_position_alone(drive, until):
     assert driver.measured == 1
     until(lambda: driver.measure() == pytest.approx((0.1,), abs=1e-4))
     assert d.node._node.sdo[0x1801][1].raw & objects.NOT_VALID
+
+
+@pytest.mark.parametrize('extrapolate', [True, False])
+def test_the_position_is_that_of_the_sample(drive, monkeypatch, extrapolate):
+    driver = drive().driver(driver__extrapolate=extrapolate)
+    driver.open()
+    driver._bus.close()                         # nothing comes any more but what follows
+    driver._bus.synced_at = 100.0
+    driver._bus._on_first(0x181, bytearray(bytes.fromhex('371200000100')), 0.0)     # 1 turn
+    driver._bus._on_second(0x281, bytearray(bytes.fromhex('000002000000')), 0.0)    # 2 turns/s
+    driver._bus.measurement = replace(driver._bus.measurement, at=100.0005)
+    x = 2.0 * math.pi
+    more = 4.0 * math.pi * 0.0015 if extrapolate else 0.0
+    monkeypatch.setattr('dz_ros.drivers.cia402.driver.time.monotonic', lambda: 100.003)
+    driver._sample_at = 100.0015
+    assert driver.measure() == pytest.approx((x + more, 4.0 * math.pi))
+    driver._sample_at = 90.0                    # an old one: now is meant
+    assert driver.measure() == pytest.approx((x + 2.0 * more, 4.0 * math.pi))
+    driver._bus.measurement = replace(driver._bus.measurement, speed=math.nan)
+    assert driver.measure()[0] == pytest.approx(x)
+    monkeypatch.setattr('dz_ros.drivers.cia402.driver.time.monotonic', lambda: 100.02)
+    assert driver.measure() is None
 
 
 def test_a_command_that_is_not_finite_stops(drive, until):
