@@ -22,7 +22,7 @@ from dz_ros.core.driver import Driver
 from dz_ros.core.safety.health import Level, percentiles
 from dz_ros.drivers.cia402.bus import DriveBus, Measurement, PRE_OPERATIONAL
 from dz_ros.drivers.cia402.cycle import Cycle
-from dz_ros.drivers.cia402.objects import ERROR_CODE
+from dz_ros.drivers.cia402.objects import ERROR_CODE, TORQUE_DEMAND, VELOCITY_DEMAND
 from dz_ros.drivers.cia402.scaling import Scaling
 from dz_ros.drivers.cia402.settings import Cia402Parameters
 from dz_ros.drivers.cia402.states import DriveState, Goal, INTERNAL_LIMIT, TARGET_REACHED
@@ -203,6 +203,13 @@ class Cia402(Driver):
         else:
             bus.forget_trouble()
             self._leave_fault()
+
+    def in_force(self) -> float | None:
+        """Ask the drive for its demand value; waits for the answer."""
+        bus, _ = self._open()
+        found = bus.sdo.read_optional(TORQUE_DEMAND if self.parameters.mode == 'torque'
+                                      else VELOCITY_DEMAND)
+        return None if found is None else self._scaling.v(found)
 
     def report(self, report: Report) -> None:
         """Add state, round trips on the bus, samples whose measurement was an old one."""

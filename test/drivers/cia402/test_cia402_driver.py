@@ -10,6 +10,7 @@ import pytest
 from dz_ros.core.safety.health import Report
 from dz_ros.drivers.cia402 import objects
 from dz_ros.drivers.cia402.states import DriveState
+from dz_ros.drivers.conformance import check_contract
 from dz_ros.errors import ConfigurationError, DriverError, MissingDependencyError
 from dz_ros.files import load_configuration
 
@@ -27,8 +28,10 @@ def test_from_nothing_to_a_moving_axis_and_back(drive, until):
     driver.command(3.0, 0.0)
     until(lambda: d.node._motor.target == 600)  # 3 A × 1 N m/A of 5 N m
     until(lambda: driver.command(3.0, 0.0) or (driver.measure() or (0.0, 0.0))[1] > 0.1)
+    assert driver.in_force() == pytest.approx(3.0)
     driver.safe(0.0, 0.0)
     until(lambda: d.node.device.state is S.QUICK_STOP and d.node.device.standing)
+    assert driver.in_force() == 0.0
     driver.command(-3.0, 0.0)
     until(lambda: d.node.device.state is S.ENABLED and d.node._motor.target == -600)
     driver.safe(0.0, 0.0)
@@ -76,7 +79,7 @@ def test_position_alone(drive, until):
     d = drive(driver__velocity_measured=False)
     driver = d.enabled()
     assert driver.measured == 1
-    until(lambda: driver.measure() == pytest.approx((0.1,), abs=1e-4))
+    until(lambda: driver.measure() == pytest.approx((0.1,), abs=0.05))
     assert d.node._node.sdo[0x1801][1].raw & objects.NOT_VALID
 
 
@@ -132,6 +135,15 @@ def test_a_loop_that_falls_silent_is_stopped_and_may_go_on(drive, until):
     driver.report(report)
     assert int(report.values['loop silent']) >= 1
     assert float(report.values['bus round trip p50 [ms]']) > 0.0
+
+
+@pytest.mark.parametrize('mode', ['torque', 'velocity'])
+def test_the_conformance_kit_finds_nothing(drive, mode):
+    d = drive(driver__mode=mode, safety__state_hold=200)
+    results = {item.name: item for item in check_contract(d.configuration, 1.0, True)}
+    for name in ('declaration', 'opens', 'no trouble', 'safe command', 'limit', 'stop and reset',
+                 'restart', 'reconnect'):       # the others are about time
+        assert results[name].passed, results[name]
 
 
 def test_stops_and_commands_in_quick_turns_are_no_trouble(drive, until):
