@@ -6,7 +6,7 @@ import struct
 import threading
 import time
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 
@@ -24,6 +24,7 @@ def distance(instant, phase):
     return abs((instant - phase + T / 2.0) % T - T / 2.0)
 
 
+@settings(deadline=None)
 @given(st.floats(0.0, 1.0), st.floats(0.0, T), st.floats(0.0, 0.004))
 def test_sync_comes_before_a_sample_and_never_twice_in_half_a_period(now, phase, lead):
     found = Phase(T)
@@ -37,6 +38,7 @@ def test_without_a_loop_sync_is_free():
     assert Phase(T).next(3.0, 0.001) == pytest.approx(3.0 + T)
 
 
+@settings(deadline=None, max_examples=30)
 @given(st.lists(st.floats(0.0, 0.0005), min_size=300, max_size=300),
        st.lists(st.tuples(st.integers(0, 150), st.floats(0.0, 0.02)), max_size=3))
 def test_the_phase_is_that_of_the_punctual_samples(late, stalls):
