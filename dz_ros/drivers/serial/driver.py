@@ -77,6 +77,7 @@ class Serial(Driver):
     name = 'serial'
     summary = 'a microcontroller on a serial line (extra serial); docs/drivers.md has the protocol'
     order = 0
+    requires = ('serial',)
     Parameters = SerialParameters
 
     def __init__(self, parameters: Any, configuration: Configuration) -> None:
