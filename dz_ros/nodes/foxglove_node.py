@@ -91,7 +91,7 @@ def _pass_on(channel: Any) -> Store:
     """Return what takes a topic's messages to a channel."""
     log = channel.log
 
-    def store(payload: bytes, source_ns: int) -> None:
+    def store(payload: bytes, source_ns: int, _taken_ns: int) -> None:
         log(payload, log_time=source_ns)
 
     return store
