@@ -7,7 +7,7 @@ PYTEST_ARGS ?=
 bin := $(VENV)/bin
 environment = @$(PYTHON) tools/environment.py $(VENV)
 
-.PHONY: help demo test lint types docs bench bench-faults colcon wheel clean distclean
+.PHONY: help demo test test-live lint types docs bench bench-faults colcon wheel clean distclean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -21,6 +21,10 @@ demo:  ## 20 s of the paper's example in real time as four ROS 2 processes, reco
 test:  ## all tests
 	$(environment) ros test numba
 	$(bin)/python -m pytest $(PYTEST_ARGS)
+
+test-live:  ## the page in a real browser (needs chromium; part of test)
+	$(environment) ros test numba
+	$(bin)/python -m pytest -m live $(PYTEST_ARGS)
 
 lint:  ## style
 	$(environment) ros lint

@@ -9,6 +9,9 @@ manifest = ET.parse('package.xml').getroot()
 name = manifest.findtext('name')
 maintainer = manifest.find('maintainer')
 
+# msgpack: python-can's bus udp_multicast, on which the simulated drive is.
+CIA402 = ['canopen>=2.3,<3', 'msgpack>=1.0', 'python-can>=4.3,<5']
+
 
 def files(*patterns):
     return sorted(str(path) for pattern in patterns for path in Path().glob(pattern))
@@ -23,7 +26,8 @@ setup(
     maintainer=maintainer.text,
     maintainer_email=maintainer.get('email'),
     packages=find_packages(include=[name, f'{name}.*']),
-    package_data={name: ['py.typed', 'nodes/fastdds.xml']},
+    package_data={name: ['py.typed', 'nodes/fastdds.xml', 'live/page/*.*',
+                         'live/page/vendor/*.*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
         (f'share/{name}', ['package.xml']),
@@ -48,9 +52,13 @@ setup(
         'numba': ['numba>=0.61'],   # compiles loops off line; the numbers are the same
         'cluster': ['distributed>=2024.1'],     # dz sweep --cluster: many machines
         'parquet': ['pyarrow>=14'],             # dz sweep --out FILE.parquet
+        'cia402': CIA402,                       # driver.name: cia402
         'serial': ['pyserial>=3.5'],            # driver.name: serial
-        'test': ['distributed>=2024.1', 'hypothesis>=6.98', 'numba>=0.61', 'pyarrow>=14',
-                 'pyserial>=3.5', 'pytest>=7.4'],
+        'live': ['aiohttp>=3.9'],               # the page in the browser
+        'foxglove': ['foxglove-sdk>=0.14'],     # the same channels for Foxglove and Lichtblick
+        'test': [*CIA402, 'aiohttp>=3.9', 'axe-playwright-python>=0.1.4', 'distributed>=2024.1',
+                 'foxglove-sdk>=0.14', 'hypothesis>=6.98', 'numba>=0.61', 'playwright>=1.40',
+                 'pyarrow>=14', 'pyserial>=3.5', 'pytest>=7.4'],
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [
             'catkin-pkg==1.1.1',
@@ -73,6 +81,7 @@ setup(
             'trajectory_node = dz_ros.nodes.main:trajectory_node',
             'recorder_node = dz_ros.nodes.main:recorder_node',
             'replay_node = dz_ros.nodes.main:replay_node',
+            'live_node = dz_ros.nodes.main:live_node',
         ],
     },
 )

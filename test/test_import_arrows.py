@@ -1,6 +1,6 @@
 """Who may import whom, read from the source; the picture is in docs/architecture.md.
 
-    errors ← core ← {drivers, recording, analysis ← studies, files} ← {nodes, cli};
+    errors ← core ← {drivers, recording, analysis ← {studies, live}, files} ← {nodes, cli};
     runtime: stdlib only; studies is for cli alone
 """
 
@@ -29,14 +29,16 @@ ARROWS = {
     'recording': LEAVES | READERS | {'core'},
     'analysis': LEAVES | {'core'},
     'studies': LEAVES | {'core', 'analysis'},
+    'live': LEAVES | {'core', 'analysis'},
     'runtime': LEAVES,
-    'nodes': LEAVES | READERS | {'core', 'drivers', 'recording', 'runtime'},
-    'cli': LEAVES | READERS | {'core', 'drivers', 'recording', 'analysis', 'studies', 'runtime'},
+    'nodes': LEAVES | READERS | {'core', 'drivers', 'recording', 'live', 'runtime'},
+    'cli': LEAVES | READERS | {'core', 'drivers', 'recording', 'analysis', 'studies', 'live',
+                                'runtime'},
 }
 ROS = {'rclpy', 'std_msgs', 'std_srvs', 'rcl_interfaces', 'rosgraph_msgs', 'builtin_interfaces',
        'diagnostic_msgs', 'lifecycle_msgs', 'launch', 'launch_ros', 'ament_index_python'}
 SLOW = {'matplotlib', 'scipy', 'rosbags', 'numba', 'pandas', 'pyarrow', 'dask',
-        'distributed', 'serial'}  # only inside functions
+        'distributed', 'serial', 'can', 'canopen', 'aiohttp', 'foxglove'}  # only inside functions
 OUTSIDE_WORLD = {'asyncio', 'ctypes', 'datetime', 'io', 'logging', 'multiprocessing', 'os',
                  'pathlib', 'select', 'shutil', 'signal', 'socket', 'subprocess', 'tempfile',
                  'threading', 'time'}

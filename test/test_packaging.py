@@ -28,6 +28,7 @@ DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs
 IMPORTED = {
     'builtin_interfaces': ('ros-rclpy', 'builtin_interfaces'),
     'diagnostic_msgs': ('ros-common-interfaces', 'diagnostic_msgs'),
+    'lifecycle_msgs': ('ros-rclpy', 'lifecycle_msgs'),
     'matplotlib': ('matplotlib', 'python3-matplotlib'),
     'mcap': ('mcap', 'mcap-ros2-support'),
     'numpy': ('numpy', 'python3-numpy'),
@@ -43,7 +44,8 @@ IMPORTED = {
 }
 """Module → distribution that brings it by pip, key that brings it by rosdep."""
 OPTIONAL = {'numba': 'numba', 'dask': 'cluster', 'distributed': 'cluster', 'pyarrow': 'parquet',
-            'serial': 'serial'}
+            'can': 'cia402', 'canopen': 'cia402', 'serial': 'serial', 'aiohttp': 'live',
+            'foxglove': 'foxglove'}
 """Module → extra that brings it; nothing needs them."""
 
 pytestmark = pytest.mark.skipif(not (ROOT / 'package.xml').is_file(),

@@ -27,6 +27,8 @@ from dz_ros.core.records import Command, State
 ROOT = Path(__file__).resolve().parents[2]
 NODES = ('plant_node', 'controller_node', 'trajectory_node')
 PATIENCE = 40.0
+FAKETIME = Path('/usr/lib') / f'{os.uname().machine}-linux-gnu/faketime/libfaketimeMT.so.1'
+"""Of Debian's package faketime."""
 Row = tuple[float, ...]
 
 
@@ -36,11 +38,12 @@ class Loop:
     Attributes:
         heard: Topic → (time of arrival [s], numbers) of each message.
         modes: Node → (time [s], mode, reason), in order.
+        clock: File that shifts the wall clock of the nodes, if they see one of their own.
     """
 
     def __init__(self, configuration: Configuration, parameters: Path,
                  prefix: dict[str, Sequence[str]] | None = None,
-                 remap: dict[str, Sequence[str]] | None = None) -> None:
+                 remap: dict[str, Sequence[str]] | None = None, clock: bool = False) -> None:
         self.configuration = configuration
         self.period = configuration.loop.period
         self.heard: dict[str, list[tuple[float, Row]]] = {
@@ -49,6 +52,12 @@ class Loop:
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self._parameters = parameters
         self._environment = {**os.environ, 'PYTHONPATH': str(ROOT)}
+        self.clock = parameters.with_name('clock')
+        self.clock.write_text('+0')
+        if clock:       # CLOCK_REALTIME alone, of these processes alone
+            self._environment |= {
+                'LD_PRELOAD': str(FAKETIME), 'FAKETIME_TIMESTAMP_FILE': str(self.clock),
+                'FAKETIME_CACHE_DURATION': '1', 'FAKETIME_DONT_FAKE_MONOTONIC': '1'}
         self._prefix, self._remap = prefix or {}, remap or {}
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node('fault_bench')
@@ -137,6 +146,11 @@ class Loop:
                 if row[1] > now - seconds]
         return max((abs(row[2] - self.configuration.trajectory(row[1])[0]) for row in rows),
                    default=math.nan)
+
+    def meanwhile(self, since: int) -> float:
+        """Return max |x − x_d| of the states heard after so many."""
+        return max((abs(row[2] - self.configuration.trajectory(row[1])[0])
+                    for _, row in self.heard['state'][since:]), default=math.nan)
 
     def largest(self, since: int) -> float:
         """Return max |x| of the states heard after so many."""

@@ -3,7 +3,8 @@
     relay.py '{"loss": 0.05, "delay": 0.005, "jitter": 0.0, "duplicate": 0.0, "reorder": 0.0}'
 
 `state` of the plant goes from plant_state to state, the controller's `command` from command to
-plant_command. Seeded, so that a run can be repeated as far as a real-time loop can.
+plant_command. It hands on at once until SIGUSR1, does its worst until SIGUSR2. Seeded, so that a
+run can be repeated as far as a real-time loop can.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import heapq
 import itertools
 import json
 import random
+import signal
 import sys
 import time
 
@@ -24,7 +26,10 @@ from std_msgs.msg import Float64MultiArray
 
 def main() -> None:
     """Relay until told to end."""
-    faults = json.loads(sys.argv[1])
+    faults: dict[str, float] = {}
+    worst = json.loads(sys.argv[1])
+    signal.signal(signal.SIGUSR1, lambda *_: faults.update(worst))
+    signal.signal(signal.SIGUSR2, lambda *_: faults.clear())
     random.seed(1)
     rclpy.init()
     node = rclpy.create_node('relay')

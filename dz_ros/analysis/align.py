@@ -122,11 +122,11 @@ def align(run: RunData) -> Aligned:
     t = state['stamp'][rows]
     x = state.values[rows][:, columns]
     x_d, carried = _references(run, seq, t, order)
-    v = _joined(run.channels.get('command'), seq, ('v',))
+    v = joined(run.channels.get('command'), seq, ('v',))
     terms = run.channels.get('terms')
     truth = run.channels.get('truth')
-    found_terms = _joined(terms, seq, terms.labels[2:] if terms else ())
-    found_truth = _joined(truth, seq, truth.labels[2:] if truth else ())
+    found_terms = joined(terms, seq, terms.labels[2:] if terms else ())
+    found_truth = joined(truth, seq, truth.labels[2:] if truth else ())
     blank = np.full(len(seq), np.nan)
     table = {'reference': x_d[:, 0], 'command': v.get('v', blank),
              'terms': next(iter(found_terms.values()), blank),
@@ -139,7 +139,7 @@ def align(run: RunData) -> Aligned:
         carried, undated + int(np.count_nonzero(~np.isfinite(x).all(axis=1))), restarts)
 
 
-def _joined(channel: Channel | None, seq: Integers, labels: tuple[str, ...]) -> dict[str, Array]:
+def joined(channel: Channel | None, seq: Integers, labels: tuple[str, ...]) -> dict[str, Array]:
     """Return columns of a channel at the states' seq, NaN where it has no such row."""
     if channel is None or not len(channel):
         return {}

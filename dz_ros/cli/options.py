@@ -22,6 +22,15 @@ def add_configuration(parser: argparse.ArgumentParser) -> None:
                              'controller.lambda=2; may be repeated')
 
 
+def add_address(parser: argparse.ArgumentParser) -> None:
+    """Declare --host and --port of the page in the browser."""
+    parser.add_argument('--host', default='127.0.0.1', metavar='ADDRESS',
+                        help='where the page is to be reached; another address than this '
+                             "machine's own 127.0.0.1 asks everybody for the printed token")
+    parser.add_argument('--port', type=int, default=0, metavar='N',
+                        help='port of the page (default: the first free one from 8420 on)')
+
+
 def read_configuration(arguments: argparse.Namespace) -> Configuration:
     """Return the configuration asked for; say which typed keys it has no use for.
 

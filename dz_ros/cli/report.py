@@ -1,4 +1,7 @@
-"""``dz report RUN``: the page with figures and metrics, and the five numbers that tell most."""
+"""``dz report RUN``: the page with figures and metrics, and the five numbers that tell most.
+
+With ``--serve`` the run is shown in the browser instead, by the page of a running loop.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +13,21 @@ import sys
 from dz_ros.analysis.counterpart import without_dead_zone
 from dz_ros.analysis.view import View
 from dz_ros.cli.bag_recover import beside
+from dz_ros.cli.options import add_address
 from dz_ros.cli.table import five_rows, format_table, window_title
 from dz_ros.core.dataset import RunData
-from dz_ros.errors import DzRosError
+from dz_ros.errors import ConfigurationError, DzRosError
 from dz_ros.recording.reader import read_run
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument('run', type=Path, metavar='RUN', help='directory of a run, or its .mcap')
+    parser.add_argument('--serve', action='store_true',
+                        help='show the run in the browser, to scrub through, until Ctrl-C')
+    parser.add_argument('--over', type=Path, metavar='RUN2',
+                        help='with --serve: a second run to lay over the first')
+    add_address(parser)
     parser.add_argument('--out', type=Path, metavar='DIR',
                         help='where the page and its pictures go; an older report there is '
                              'replaced (default: RUN-report, so that the recording stays as it '
@@ -40,6 +49,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Read, write the report, print the numbers."""
     data = read_run(arguments.run, arguments.namespace)
+    if arguments.serve:
+        return _serve(arguments, data)
+    if arguments.over is not None:
+        raise ConfigurationError('--over', str(arguments.over), 'goes with --serve; dz bag '
+                                 'compare lays runs side by side in a report')
     window = None if arguments.window is None else (arguments.window[0], arguments.window[1])
     view = View.of(data, window=window, kick=arguments.kick)
     page = None
@@ -59,6 +73,18 @@ def run(arguments: argparse.Namespace) -> int:
     if page is not None:
         print(f'report: {page}', file=sys.stderr if arguments.json else sys.stdout)
     return 0
+
+
+def _serve(arguments: argparse.Namespace, data: RunData) -> int:
+    """Show one or two runs in the browser."""
+    from dz_ros.cli.serve import serve
+
+    runs = {arguments.run.resolve().name: data}
+    if arguments.over is not None:
+        name = arguments.over.resolve().name
+        runs[f'{name} (2)' if name in runs else name] = read_run(arguments.over,
+                                                                arguments.namespace)
+    return serve(runs, arguments.host, arguments.port)
 
 
 def _counterpart(view: View, arguments: argparse.Namespace) -> RunData | None:

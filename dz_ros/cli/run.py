@@ -13,7 +13,7 @@ import tempfile
 import threading
 import time
 
-from dz_ros.cli.options import add_configuration, read_configuration
+from dz_ros.cli.options import add_address, add_configuration, read_configuration
 from dz_ros.cli.processes import (
     check_rclpy,
     ENDS,
@@ -27,8 +27,10 @@ from dz_ros.files import write_parameters
 from dz_ros.runtime.claim import claim, ClaimedError, domain, domain_topic
 
 ORDER = (('plant_node', 'actuator_node'), ('trajectory_node', 'controller_node'),
-         ('recorder_node',))
-"""The order in which nodes are ended: whoever drives the loop first, whoever records it last."""
+         ('recorder_node',), ('live_node',))
+"""The order in which nodes are ended: whoever drives the loop first, whoever looks at it last."""
+LOOKING = 'live_node'
+"""The node that the loop can do without."""
 START_LIMIT = 60.0
 """The loop must have its first sample within this time [s]."""
 
@@ -44,6 +46,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--namespace', default='', metavar='NS',
                         help='ROS namespace of the loop, e.g. /left_valve')
     parser.add_argument('--quiet', action='store_true', help='no progress')
+    parser.add_argument('--live', action='store_true',
+                        help='show the loop in the browser: a page whose address is printed')
+    add_address(parser)
+    parser.add_argument('--read-only', action='store_true',
+                        help='the page can be looked at, nobody can act on the loop')
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -104,6 +111,7 @@ class _Loop:
         self._lock = threading.Lock()
         self._processes: dict[str, subprocess.Popen[str]] = {}
         self._failed: dict[str, int] = {}
+        self._missed: set[str] = set()
         self._readers: list[threading.Thread] = []
         common = ['--ros-args', '--params-file', str(parameters)]
         if arguments.namespace.strip('/'):
@@ -118,6 +126,11 @@ class _Loop:
             directory = parameters.with_name('directory.yaml')
             write_node_parameters(directory, {'directory': str(arguments.record)})
             self._arguments['recorder_node'] = [*common, '--params-file', str(directory)]
+        if arguments.live:
+            page = parameters.with_name('page.yaml')
+            write_node_parameters(page, {'host': arguments.host, 'port': arguments.port,
+                                         'read_only': arguments.read_only})
+            self._arguments = {LOOKING: [*common, '--params-file', str(page)], **self._arguments}
 
     def run(self) -> int:
         """Start everything, wait for the actuator's host, end everything in order."""
@@ -195,8 +208,15 @@ class _Loop:
         while not self._interrupted:
             for name, process in self._processes.items():
                 code = process.poll()
-                if code is not None and (code != 0 or name != self._actuator):
-                    self._failed[name] = code
+                if code is None or (code == 0 and name == self._actuator):
+                    continue
+                if name == LOOKING:
+                    if name not in self._missed:
+                        self._missed.add(name)
+                        self._say(f'dz: note: the live page has ended ({_meaning(code)}); the '
+                                  'loop goes on')
+                    continue
+                self._failed[name] = code
             if self._failed or self._processes[self._actuator].poll() is not None:
                 return
             if not self._progress_seen.is_set() and time.monotonic() > give_up:
@@ -217,7 +237,7 @@ class _Loop:
                 except subprocess.TimeoutExpired:
                     process.kill()
                     code = process.wait()
-                if code not in (0, -signal.SIGINT):
+                if code not in (0, -signal.SIGINT) and name != LOOKING:
                     self._failed.setdefault(name, code)
         for reader in self._readers:
             reader.join(1.0)

@@ -27,8 +27,9 @@ from dz_ros.core.safety.gate import OutputGate
 
 SNAP = 1e-9
 """Stamps closer than this are the same instant [s]."""
-KEPT = 4
-"""References kept: the one of this sample, the next one, and room for disorder."""
+KEPT, KEPT_AHEAD = 4, 256
+"""References kept: the one of this sample, the next one, and room for disorder; in lockstep those
+sent ahead as well."""
 
 
 def accepted_interval(earlier: float, stamp: float, period: float) -> float:
@@ -64,7 +65,8 @@ class Controller:
         self.error = 0.0
         self.count = 0
         self.gate = OutputGate(configuration.safety, configuration.loop.period)
-        self._references: deque[Reference] = deque(maxlen=KEPT)
+        lockstep = configuration.loop.timing == 'lockstep'
+        self._references: deque[Reference] = deque(maxlen=KEPT_AHEAD if lockstep else KEPT)
         self._last: tuple[State, Command, Terms] | None = None
         self._signals: tuple[float, ...] = ()
         self._begins = True
@@ -201,6 +203,8 @@ class Controller:
 
     def _reference_at(self, stamp: float) -> tuple[Reference, float]:
         """Return the reference for this instant and how far it had to be brought [s]."""
+        while len(self._references) > KEPT and self._references[0].stamp < stamp - SNAP:
+            self._references.popleft()
         for reference in self._references:
             if abs(reference.stamp - stamp) < SNAP:
                 return reference, 0.0

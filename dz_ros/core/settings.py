@@ -68,7 +68,7 @@ class PlantSettings:
     kick: tuple[float, ...] = parameter(
         (0.0, 0.0, 0.0), '', '[instant in s, acceleration in unit of x^(n), duration in s] of a '
         'push on the plant, over the samples that begin within it; acceleration 0 = none',
-        length=3, structural=True)
+        length=3)
 
     def check(self, prefix: str) -> None:
         """Check that the kick is in the loop's time.

@@ -105,4 +105,5 @@ class Emulator(ABC):
 
 EMULATORS = Registry('emulator', 'KIND', 'dz_ros.emulators', Emulator, {
     'serial': 'dz_ros.drivers.serial.emulator:SerialEmulator',
+    'cia402': 'dz_ros.drivers.cia402.emulator:Cia402Emulator',
 })

@@ -76,8 +76,9 @@ class SimulatedActuator(Driver):
         return self._limit or math.inf
 
     def configure(self, configuration: Configuration) -> None:
-        """Give plant and dead-zone other parameters from now on; the structure is the same."""
+        """Give plant and dead-zone other parameters, or a kick, from now on; same structure."""
         super().configure(configuration)
+        self._kick = configuration.kick_samples
         self._plant = configuration.plant.constants
         self._zone = configuration.dead_zone.constants
 

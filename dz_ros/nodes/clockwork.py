@@ -96,11 +96,11 @@ class ActuatorHost(Hosting):
                 self._publish()
             if self.halted or self._seq >= last:
                 break
+            self._next((self._seq + 1) * self._period)
             message = Clock()
-            stamp_ns = round((self._seq + 1) * self._period * 1e9)
+            stamp_ns = round(self._seq * self._period * 1e9)
             message.clock.sec, message.clock.nanosec = divmod(stamp_ns, 1_000_000_000)
             clock.publish(message)
-            self._next((self._seq + 1) * self._period)
             self.diagnosing.look()
         self.destroy_publisher(clock)
         if not (self._seq >= last or self.stopping):
@@ -113,7 +113,7 @@ class ActuatorHost(Hosting):
 
     def _finish(self, **details: int) -> None:
         """Publish what is left of the last sample."""
-        self._end_sample(self._t)
+        self._tell(self._end_sample(self._t))
         self._finished = True
         self.event('finished', ends=['state'], seq=self._seq,
                    ignored=self._guard.guard.rejected(), **details)

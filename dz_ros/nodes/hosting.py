@@ -162,16 +162,21 @@ class Hosting(GuardedNode):
             self._hosted.safe(self._guard.fault(trouble, t), t)
 
     def _next(self, stamp: float) -> None:
-        """End the sample at a stamp; publish the next one."""
-        self._end_sample(stamp)
+        """End the sample at a stamp; publish the next one first, as somebody waits for it."""
+        truth = self._end_sample(stamp)
         self._seq += 1
         self._publish()
+        self._tell(truth)
         self._ask(stamp)
 
-    def _end_sample(self, stamp: float) -> None:
-        """Advance to a stamp; publish what a simulated device knows of the sample it leaves."""
+    def _end_sample(self, stamp: float) -> Truth | None:
+        """Advance to a stamp; return what a simulated device knows of the sample it leaves."""
         truth = self._hosted.advance(stamp, self._seq)
         self._t = stamp
+        return truth
+
+    def _tell(self, truth: Truth | None) -> None:
+        """Publish what a simulated device knows."""
         if truth is not None and self._simulated:
             self._publish_truth(truth.numbers())
 

@@ -57,10 +57,11 @@ class RecorderNode(LoopNode):
         if not directory:
             raise ConfigurationError('directory', directory, 'must be the directory to record to, '
                                      'one that does not exist yet')
+        self._directory = Path(directory)
         self._taker = Taker(self)
         info = {**default_info(), 'mode': self.configuration.loop.timing,
                 'namespace': self.get_namespace()}
-        self._writer = QueuedWriter(RunWriter(Path(directory), info, {}))
+        self._writer = QueuedWriter(RunWriter(self._directory, info, {}))
         # Log times advance with the steady clock: a step of the wall clock must not reorder a run.
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
         for name, channel in CHANNELS.items():
@@ -81,6 +82,7 @@ class RecorderNode(LoopNode):
         report = Report()
         report.put('state', 'active')
         report.put('messages stored', self._stored, 'd')
+        report.put('size [MB]', self._size(), '.2f')
         report.put('messages waiting', self._writer.pending, 'd')
         report.put('messages lost', self._writer.lost, 'd')
         report.say(Level.OK, 'recording')
@@ -89,6 +91,13 @@ class RecorderNode(LoopNode):
         if self._writer.error is not None:
             report.say(Level.ERROR, str(self._writer.error))
         return report
+
+    def _size(self) -> float:
+        """Return what is on the disk so far [MB]."""
+        try:
+            return sum(item.stat().st_size for item in self._directory.iterdir()) * 1e-6
+        except OSError:
+            return 0.0
 
     def _storer(self, name: str, topic: str) -> Store:
         """Return the callback that stores a topic's messages."""

@@ -2,10 +2,14 @@
 
 Publishes `reference`, subscribes `state` as its clock: when state k arrives it sends the reference
 for the stamp of sample k + 1, so the controller need not wait for it. The loop has one clock, the
-plant's; if states stop, so does the reference.
+plant's; if states stop, so does the reference. In lockstep the references are sent many samples
+ahead, so that a step need not wait for a third process; a trajectory changed meanwhile is followed
+after those.
 """
 
 from __future__ import annotations
+
+import sys
 
 from dz_ros.core.records import Reference, State
 from dz_ros.core.safety.guards import SequenceGuard, Verdict
@@ -14,6 +18,8 @@ from dz_ros.nodes.managed import ManagedNode
 
 CATCH_UP = 100
 """References of states that never came here are sent late, up to so many, to leave no gap."""
+AHEAD = 100
+"""References sent ahead in lockstep, at least half as many."""
 LAST = 1e9
 """Stamps beyond this are none [s]."""
 
@@ -28,6 +34,8 @@ class TrajectoryNode(ManagedNode):
         self._order = self.configuration.plant.order
         self._guard = SequenceGuard()
         self._sent = -1
+        loop = self.configuration.loop
+        self._end = loop.samples + 1 if loop.duration > 0.0 else sys.maxsize
         self._rejections = Rejections()
         self.watch_parameters()
 
@@ -61,23 +69,36 @@ class TrajectoryNode(ManagedNode):
         return super().work()
 
     def _on_state(self, numbers: tuple[float, ...]) -> None:
-        """Send the reference for the next sample, and those before it that were not sent."""
+        """Send what is wanted by a state, and what was not sent before."""
         verdict = self._guard.judge(numbers, 0.0, resync=True)
         if not self.active or verdict not in (Verdict.TAKEN, Verdict.REPEATED):
             return
         state = State.from_numbers(numbers)
         if abs(state.stamp) > LAST:
             return
-        if state.seq + 1 == self._sent:     # asked again: what was sent may not have arrived
-            self._sent = state.seq - 1
+        first, after = self._wanted(state.seq, verdict)
         sample = round(state.stamp / self._period)
-        first = self._sent + 1 if 0 <= state.seq - self._sent < CATCH_UP else state.seq
-        for seq in range(first, state.seq + 2):
+        for seq in range(first, after):
             stamp = (sample + seq - state.seq) * self._period
             try:
                 x_d = self._trajectory(stamp)
             except (ArithmeticError, ValueError) as error:
                 self.count(f'no reference for t = {stamp:g} s: {error}')
+                self._sent = seq - 1
                 return
             self._publish_reference((seq, stamp, *x_d))
-        self._sent = state.seq + 1
+
+    def _wanted(self, seq: int, verdict: Verdict) -> tuple[int, int]:
+        """Return the first reference to send now that state `seq` has come, and the one after."""
+        ahead = self._sent - seq
+        if not self.lockstep:
+            first = self._sent + 1 if -CATCH_UP < ahead <= 0 else seq
+            self._sent = seq + 1
+            return first, seq + 2
+        if verdict is Verdict.REPEATED:     # what was sent may not have arrived
+            return seq, seq + 2
+        if AHEAD // 2 < ahead <= AHEAD:
+            return seq, seq
+        first = self._sent + 1 if -CATCH_UP < ahead <= AHEAD else seq
+        self._sent = max(min(seq + AHEAD, self._end), seq + 1)
+        return first, self._sent + 1

@@ -12,8 +12,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
 from pathlib import Path
 import re
+import sqlite3
 from typing import Any
 
 from dz_ros.errors import DamagedRunError, MissingDependencyError, RecordingError, RunNotFoundError
@@ -136,6 +138,8 @@ class RosbagsSource(Source):
             raise MissingDependencyError(f'{self.path} needs the package rosbags: pip install '
                                          'rosbags') from None
         found: list[Message] = []
+        for file in self.files:
+            _check_database(file)
         try:
             with Reader(self.path) as reader:
                 for item in reader.connections:
@@ -153,6 +157,23 @@ class RosbagsSource(Source):
             raise DamagedRunError(f'{self.path} cannot be read: {error}') from error
         if found:
             yield found
+
+
+def _check_database(file: Path) -> None:
+    """Look whether the pages of an SQLite file belong together; they carry no checksum.
+
+    Raises:
+        DamagedRunError: They do not.
+    """
+    if file.suffix != '.db3':
+        return
+    try:
+        with closing(sqlite3.connect(f'{file.absolute().as_uri()}?mode=ro', uri=True)) as database:
+            found = database.execute('PRAGMA quick_check(1)').fetchone()[0]
+    except sqlite3.Error as error:
+        found = str(error)
+    if found != 'ok':
+        raise DamagedRunError(f'{file} is damaged: {" ".join(str(found).split())}')
 
 
 def open_source(path: Path, skip_damage: bool = False) -> Source:

@@ -1,5 +1,8 @@
 """The compiled loop gives the bits of the plain one, for every law, plant and trajectory."""
 
+import dataclasses
+import math
+
 import numpy as np
 import pytest
 
@@ -9,6 +12,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws import LAWS
 from dz_ros.core.loop import simulate
 from dz_ros.core.plants import PLANTS
+from dz_ros.core.plants.wang2004 import Wang2004
 from dz_ros.core.trajectories import TRAJECTORIES
 from dz_ros.errors import ConfigurationError, MissingDependencyError
 
@@ -32,6 +36,43 @@ def test_compiled_equals_plain_bit_for_bit(overrides):
     plain, fast = simulate(configuration), simulate_fast(configuration)
     for name in ('t', 'x', 'x_measured', 'x_d', 'v', 'v_applied', 'truth', 'terms'):
         assert np.array_equal(getattr(plain, name), getattr(fast, name), equal_nan=True), name
+
+
+@pytest.mark.parametrize('overrides', CASES[:len(LAWS.builtin)], ids=lambda case: case[
+    'controller.law'])
+def test_no_law_of_ours_needs_counted_references(overrides, monkeypatch):
+    pytest.importorskip('numba', reason='numba is not installed: nothing is compiled')
+    counted = []
+    plain = module.compiled
+
+    def watched(function, allocates=False):
+        if allocates:
+            counted.append(function)
+        return plain(function, allocates)
+
+    monkeypatch.setattr(module, '_loops', {})
+    monkeypatch.setattr(module, 'compiled', watched)
+    simulate_fast(Configuration.from_flat({'loop.duration': 0.1, **overrides}))
+    assert not counted
+
+
+class Allocating(Wang2004):
+    """The paper's plant, written wastefully."""
+
+    @staticmethod
+    def regressors(x, p, y):
+        found = [x[0]]
+        found.append(math.sin(found[0]))
+        y[0] = -math.tanh(0.5 * found[0])
+        y[1] = (found[0] * found[0] + 2.0 * found[0]) * found[1]
+
+
+def test_a_plant_that_allocates_is_compiled_all_the_same():
+    pytest.importorskip('numba', reason='numba is not installed: nothing is compiled')
+    paper = Configuration.from_flat({'loop.duration': 1.0})
+    wasteful = dataclasses.replace(paper, plant=Allocating(paper.plant.parameters))
+    for _ in range(2):      # the second run uses what the first one compiled
+        assert np.array_equal(simulate_fast(wasteful).x, simulate(paper).x)
 
 
 def test_without_numba_the_plain_loop_answers(monkeypatch):

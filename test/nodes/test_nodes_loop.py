@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.laws import LAWS
 from dz_ros.core.loop import simulate
 from dz_ros.files import load_configuration
 from dz_ros.recording.reader import read_run
@@ -69,7 +70,8 @@ def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
 
 @pytest.mark.parametrize('overrides', [
     ('wang2004', 'plant.substeps=1'),
-    ('wang2004', 'controller.law=pd'),
+    *(('wang2004', f'controller.law={law}', 'controller.override_checks=true')
+      for law in LAWS.builtin),
     ('wang2004', 'loop.delay=2', 'plant.noise=[0.001, 0.01]', 'loop.seed=7'),
     ('zhang_feng1997',), ('first_order',), ('servo',), ('pendulum',), ('valve_actuator',),
     ('step',)], ids=lambda words: ' '.join(words))

@@ -1,7 +1,6 @@
 """Managed nodes as an operator meets them: transitions, e-stop, reset, watchdogs, live gains."""
 
 from dataclasses import replace
-import json
 import math
 import os
 from pathlib import Path
@@ -26,84 +25,6 @@ CONFIG = Path(__file__).parents[2] / 'config' / 'servo.yaml'
 NAMES = ('plant_node', 'controller_node', 'trajectory_node')
 TIME_OUT = 60.0
 LONG = ('-p', 'loop.duration:=0.0', '-p', 'safety.fault_after:=80')
-
-
-class Operator:
-    """A node of the test's own that hears everything and calls services."""
-
-    def __init__(self):
-        from rcl_interfaces.srv import SetParametersAtomically
-        from std_msgs.msg import Bool, Float64MultiArray, String
-        from std_srvs.srv import Trigger
-        self.trigger, self.set_atomically = Trigger, SetParametersAtomically
-        self.context = rclpy.Context()
-        self.context.init()
-        self.node = rclpy.create_node('operator', context=self.context)
-        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.array, self.bool = Float64MultiArray, Bool
-        self.heard = {'state': [], 'command': [], 'terms': [], 'truth': []}
-        self.events = []
-        for topic, kept in self.heard.items():
-            self.node.create_subscription(Float64MultiArray, topic, kept.append, 2000)
-        durable = rclpy.qos.QoSProfile(
-            depth=200, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
-        self.node.create_subscription(
-            String, 'events', lambda message: self.events.append(json.loads(message.data)),
-            durable)
-
-    def wait(self, condition, timeout=TIME_OUT):
-        deadline = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < deadline, f'not in time; modes: {self.modes()}'
-            self.executor.spin_once(timeout_sec=0.1)
-
-    def modes(self):
-        found = {}
-        for event in self.events:
-            if event['event'] == 'mode':
-                found[event['node'].strip('/')] = (event['mode'], event['reason'])
-        return found
-
-    def wait_for_mode(self, **wanted):
-        self.wait(lambda: all(self.modes().get(name, ('',))[0] == mode
-                              for name, mode in wanted.items()))
-
-    def call(self, service, service_type=None, request=None):
-        service_type = service_type or self.trigger
-        client = self.node.create_client(service_type, service)
-        assert client.wait_for_service(TIME_OUT)
-        future = client.call_async(request or service_type.Request())
-        self.wait(future.done)
-        return future.result()
-
-    def set(self, node, **values):
-        parameters = [rclpy.parameter.Parameter(name.replace('__', '.'), value=value)
-                      .to_parameter_msg() for name, value in values.items()]
-        return self.call(f'{node}/set_parameters_atomically', self.set_atomically,
-                         self.set_atomically.Request(parameters=parameters)).result
-
-    def change(self, node, number):
-        from lifecycle_msgs.srv import ChangeState
-        request = ChangeState.Request()
-        request.transition.id = number
-        return self.call(f'{node}/change_state', ChangeState, request).success
-
-    def life(self, node):
-        from lifecycle_msgs.srv import GetState
-        return self.call(f'{node}/get_state', GetState).current_state.label
-
-    def close(self):
-        self.executor.shutdown()
-        self.node.destroy_node()
-        self.context.shutdown()
-
-
-@pytest.fixture
-def operator(ros_domain):
-    made = Operator()
-    yield made
-    made.close()
 
 
 @pytest.fixture

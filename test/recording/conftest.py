@@ -61,3 +61,21 @@ def place(tmp_path: Path) -> Callable[[], Path]:
     """Return a maker of paths that do not exist yet, for tests that run a body many times."""
     counter = itertools.count()
     return lambda: tmp_path / f'run{next(counter)}'
+
+
+@pytest.fixture
+def same() -> Callable[..., None]:
+    """Return what fails unless two runs hold the same bits."""
+
+    def check(ours: RunData, theirs: RunData, *, publish: bool = True) -> None:
+        assert list(ours.channels) == list(theirs.channels)
+        for name, channel in ours.channels.items():
+            other = theirs.channels[name]
+            assert channel.labels == other.labels
+            assert np.ascontiguousarray(channel.values).tobytes() == other.values.tobytes()
+            assert channel.log_time.tolist() == other.log_time.tolist()
+            if publish:
+                assert channel.publish_time.tolist() == other.publish_time.tolist()
+        assert ours.events == theirs.events
+
+    return check

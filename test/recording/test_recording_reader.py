@@ -19,20 +19,7 @@ from dz_ros.recording.writer import RunWriter
 STATE = ArrayCodec(('seq', 'stamp', 'x0'))
 
 
-def same(ours: RunData, theirs: RunData, *, publish: bool = True) -> None:
-    """Fail unless two runs hold the same bits."""
-    assert list(ours.channels) == list(theirs.channels)
-    for name, channel in ours.channels.items():
-        other = theirs.channels[name]
-        assert channel.labels == other.labels
-        assert np.ascontiguousarray(channel.values).tobytes() == other.values.tobytes()
-        assert channel.log_time.tolist() == other.log_time.tolist()
-        if publish:
-            assert channel.publish_time.tolist() == other.publish_time.tolist()
-    assert ours.events == theirs.events
-
-
-def test_round_trip(tmp_path, make_run):
+def test_round_trip(tmp_path, make_run, same):
     data = make_run()
     save_run(data, tmp_path / 'run')
     for path in (tmp_path / 'run', tmp_path / 'run/run_0.mcap', str(tmp_path / 'run')):
@@ -46,75 +33,13 @@ def test_round_trip(tmp_path, make_run):
         found.channels['state'].values[0, 0] = 1.0
 
 
-def test_awkward_numbers(tmp_path, awkward):
+def test_awkward_numbers(tmp_path, awkward, same):
     values = np.array([[0.0, 0.0, *awkward], [1.0, 0.005, *reversed(awkward)]])
     labels = ('seq', 'stamp', *(f'x{i}' for i in range(len(awkward))))
     times = np.array([0, 2**63 - 1])
     data = RunData({'state': Channel(labels, values, times, times[::-1].copy())})
     save_run(data, tmp_path / 'run')
     same(data, read_run(tmp_path / 'run'))
-
-
-@pytest.fixture
-def foreign(tmp_path, make_run):
-    """Return bags of the same run made by another library: (path, publish times are kept)."""
-    rosbag2 = pytest.importorskip('rosbags.rosbag2')
-    typesys = pytest.importorskip('rosbags.typesys')
-    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
-
-    def write(name, data, plugin, mode=None, names=None):
-        writer = rosbag2.Writer(tmp_path / name, version=9, storage_plugin=plugin)
-        if mode is not None:
-            writer.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
-        with writer:
-            rows = []
-            for channel, table in data.channels.items():
-                topic = writer.add_connection((names or {}).get(channel, f'/{channel}'),
-                                              ARRAY.name, typestore=store)
-                codec = ArrayCodec(table.labels)
-                rows += [(time, topic, codec.encode(row)) for time, row in zip(
-                    table.log_time.tolist(), table.values.tolist(), strict=True)]
-            topic = writer.add_connection('/events', TEXT.name, typestore=store)
-            rows += [(time, topic, encode_string(text)) for time, _, text in data.events]
-            rosout = writer.add_connection('/chatter', TEXT.name, typestore=store)
-            rows.append((0, rosout, encode_string('hello')))
-            for time, topic, payload in sorted(rows, key=lambda row: row[0]):
-                writer.write(topic, time, payload)
-        return tmp_path / name
-
-    return write
-
-
-@pytest.mark.parametrize(('plugin', 'mode'), [
-    ('MCAP', None), ('MCAP', 'STORAGE'), ('MCAP', 'FILE'), ('MCAP', 'MESSAGE'),
-    ('SQLITE3', None), ('SQLITE3', 'FILE'), ('SQLITE3', 'MESSAGE')])
-def test_bags_of_another_library(foreign, make_run, plugin, mode):
-    rosbag2 = pytest.importorskip('rosbags.rosbag2')
-    data = make_run(300)
-    path = foreign('theirs', data, rosbag2.StoragePlugin[plugin],
-                   mode and rosbag2.CompressionMode[mode])
-    found = read_run(path)
-    same(data, found, publish=False)
-    for channel in found.channels.values():       # their writer knows one time only
-        assert channel.publish_time.tolist() == channel.log_time.tolist()
-    assert found.configuration == {}
-    info = run_info(path)
-    assert info.storage == {'MCAP': 'mcap', 'SQLITE3': 'sqlite3'}[plugin]
-    assert info.topics['/state'].messages == 300
-    assert info.topics['/chatter'].messages == 1
-
-
-def test_a_bare_database(foreign, make_run):
-    rosbag2 = pytest.importorskip('rosbags.rosbag2')
-    data = make_run(50)
-    path = foreign('theirs', data, rosbag2.StoragePlugin.SQLITE3)
-    (path / 'metadata.yaml').unlink()
-    same(data, read_run(path), publish=False)
-    same(data, read_run(path / 'theirs.db3'), publish=False)
-    (path / 'theirs.db3').write_bytes((path / 'theirs.db3').read_bytes()[:5000])
-    for bad in (path, path / 'theirs.db3'):
-        with pytest.raises(RecordingError):
-            read_run(bad)
 
 
 def test_configuration_from_events(tmp_path):
@@ -233,7 +158,7 @@ def test_split_bags_are_read_in_order(tmp_path):
 
 @pytest.mark.parametrize('text', ['', '][', 'a: b', '[1]', 'rosbag2_bagfile_information: 3',
                                   '\0', 'rosbag2_bagfile_information: {storage_identifier: mcap}'])
-def test_without_a_readable_metadata_file_the_recording_speaks(tmp_path, make_run, text):
+def test_without_a_readable_metadata_file_the_recording_speaks(tmp_path, make_run, text, same):
     data = make_run(20)
     save_run(data, tmp_path / 'run')
     (tmp_path / 'run/metadata.yaml').write_text(text)

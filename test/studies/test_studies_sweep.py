@@ -18,7 +18,7 @@ from dz_ros.studies import pool
 from dz_ros.studies import sweep as module
 from dz_ros.studies.outcome import row_of
 from dz_ros.studies.sweep import read_sweep, run_sweep
-from dz_ros.studies.sweep_pictures import crossing, is_geometric, pictures, threshold
+from dz_ros.studies.sweep_pictures import crossing
 from dz_ros.studies.sweep_plan import Axis, parse_axes, SweepPlan
 
 BASE = Configuration.from_flat({'loop.duration': 2.0, 'plant.substeps': 1,
@@ -176,54 +176,6 @@ def test_the_measured_boundary_is_the_predicted_one(tmp_path):
     measured = crossing(x, np.array([row['v_variation'] for row in rows]), 40.0)
     assert predicted == pytest.approx(0.0132, abs=5e-4)
     assert measured == pytest.approx(predicted, rel=0.05)
-
-
-def rows_of_map():
-    return [{'run': i, 'a': 10.0 ** a, 'b': float(b), 'error_max': 0.1 * (a + 1),
-             'v_variation': 500.0 if a + b > 4 else 5.0, 'chatter_share': (a + b) / 4.5,
-             'lost': int(a == 3), 'reason': ''}
-            for i, (a, b) in enumerate((a, b) for a in range(4) for b in range(4))]
-
-
-def test_maps_carry_both_boundaries():
-    picture, = pictures(rows_of_map())
-    assert picture.name == 'sweep_a_b'
-    assert len(picture.png()) > 10000
-    axes = picture.figure.axes[0]
-    assert axes.get_xscale() == 'log'
-    assert axes.get_yscale() == 'linear'
-    assert len(axes.collections) == 3       # the map, the predicted and the measured boundary
-    assert threshold(rows_of_map()) == 20.0
-
-
-def test_scattered_runs_are_drawn_too():
-    generator = np.random.default_rng(1)
-    rows = [{**row, 'a': float(generator.random()), 'b': float(generator.random())}
-            for row in rows_of_map()]
-    assert pictures(rows)[0].png()
-
-
-def test_one_key_gives_curves_with_the_boundary():
-    rows = [{k: v for k, v in row.items() if k != 'b'} for row in rows_of_map() if row['b'] == 2.0]
-    picture, = pictures(rows)
-    assert picture.name == 'sweep_a'
-    assert any(line.get_gid() == 'predicted' for line in picture.figure.axes[1].lines)
-
-
-def test_pictures_refuse_what_was_not_swept():
-    with pytest.raises(ConfigurationError, match='choose of a, b'):
-        pictures(rows_of_map(), 'c')
-    with pytest.raises(ConfigurationError, match='no runs'):
-        pictures([])
-    with pytest.raises(ConfigurationError, match='names as values'):
-        pictures([{**row, 'b': 'pd'} for row in rows_of_map()])
-
-
-def test_crossings_and_spacings():
-    assert crossing(np.array([2.0, 1.0]), np.array([0.0, 4.0]), 1.0) == 1.75
-    assert crossing(np.array([1.0, 2.0]), np.array([3.0, 4.0]), 1.0) is None
-    assert is_geometric(np.geomspace(1, 9, 5))
-    assert not is_geometric(np.linspace(1, 9, 5))
 
 
 def test_the_command_line_runs_and_draws(tmp_path, capsys):

@@ -1,0 +1,171 @@
+"""The four nodes in real time, recorded, beside the least there can be in the same run.
+
+    python benchmarks/loop.py [--quick] [--only latency|cpu|rates|soak] [--rounds N]
+
+latency  round trip state → command → plant against bare two-process echoes, ticks against a bare
+         absolute-deadline loop; they take turns, so that they meet the same machine
+cpu      share of a core of the nodes against bare nodes that send the same, recorded as well
+rates    1 kHz for a minute, then the highest rate that holds
+soak     ten minutes at 200 Hz: what is lost, how memory grows
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import statistics
+import sys
+import tempfile
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from benchmarks.machine import describe  # noqa: E402
+from benchmarks.speed_kit import running  # noqa: E402
+from benchmarks.speed_kit.rows import brief, Row, say, show, spread  # noqa: E402
+
+ECHOES = {'events, UDP': ('events', 'UDPv4'), 'events, shared memory': ('events', ''),
+          'wait set, UDP': ('wait', 'UDPv4'), 'plain': ('plain', '')}
+"""Echo → way and transport; the best of all but `plain` is the floor."""
+PARTS = ('latency', 'cpu', 'rates', 'soak')
+RATES = (1000.0, 1250.0, 1500.0, 2000.0, 2500.0, 3000.0)
+LATE_SHARE = 0.005
+
+
+def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
+    """Return round trips and ticks against bare ones, in turns."""
+    echoes: dict[str, list[list[float]]] = {
+        name: [] for name in ECHOES if not quick or name in ('events, UDP', 'plain')}
+    loops: list[running.Measured] = []
+    ticks: list[list[float]] = []
+    seconds = 4.0 if quick else 5.0
+    for turn in range(rounds):
+        for name in echoes:
+            echoes[name].append(running.echo(*ECHOES[name], seconds))
+        loops.append(running.loop(2.0 * seconds, folder / f'loop-{turn}'))
+        ticks.append(running.bare_ticks(seconds))
+        say(f'turn {turn + 1} of {rounds}: loop p50 '
+            f'{1e6 * statistics.median(loops[-1].round_trips):.0f} µs, ' + ', '.join(
+                f'{name} {1e6 * statistics.median(found[-1]):.0f}'
+                for name, found in echoes.items()))
+    pooled = {name: spread([item for turn in found for item in turn], 1e6)
+              for name, found in echoes.items()}
+    own = spread([item for turn in loops for item in turn.round_trips], 1e6)
+    floor = min((name for name in pooled if name != 'plain'), key=lambda n: pooled[n]['p50'])
+    period = spread([item for turn in loops for item in turn.deviations], 1e6)
+    bare = spread([item for turn in ticks for item in turn], 1e6)
+    samples = sum(turn.samples for turn in loops)
+    late = sum(turn.late for turn in loops)
+    beside = f'loop {brief(own)}; echo ({floor}) {brief(pooled[floor])}'
+    rows = [
+        Row('round trip over the bare echo, p50', own['p50'] / pooled[floor]['p50'], 1.15,
+            detail=beside),
+        Row('round trip over the bare echo, p99', own['p99'] / pooled[floor]['p99'], 1.3),
+        Row('round trip over the plain echo, p50', own['p50'] / pooled['plain']['p50'], 0.75,
+            detail=f'plain {brief(pooled["plain"])}'),
+        Row('ticks, |period − T| over a bare deadline loop, p99', period['p99'] / bare['p99'], 1.2,
+            detail=f'loop {brief(period)}; bare {brief(bare)}'),
+        Row('ticks too late', sum(turn.too_late for turn in loops), 0.0, 'of them'),
+        Row('ticks late', 100.0 * late / samples, 0.2, '%', detail=f'{late} of {samples}')]
+    others = [name for name in pooled if name not in (floor, 'plain')]
+    return rows + [Row(f'another echo ({name}) over the best, p50',
+                       pooled[name]['p50'] / pooled[floor]['p50'], detail=brief(pooled[name]))
+                   for name in others]
+
+
+def cpu(folder: Path, rounds: int, quick: bool) -> list[Row]:
+    """Return shares of a core against bare nodes."""
+    seconds = 4.0 if quick else 10.0
+    own, bare = [], []
+    for turn in range(rounds):
+        own.append(running.loop(seconds, folder / f'cpu-{turn}').shares)
+        bare.append(running.bare_loop(seconds, folder / f'bare-{turn}'))
+    mean = {name: statistics.mean(turn[name] for turn in own) for name in own[0]}
+    least = {name: statistics.mean(turn[name] for turn in bare) for name in bare[0]}
+
+    def words(shares: dict[str, float]) -> str:
+        return ', '.join(f'{name.removesuffix("_node")} {100 * share:.1f} %'
+                         for name, share in shares.items())
+
+    return [Row('CPU of controller_node over a bare node', mean['controller_node']
+                / least['controller_node'], 1.3, detail=f'bare nodes: {words(least)}'),
+            Row('CPU of all four nodes', 100.0 * sum(mean.values()), 35.0, '% of a core',
+                detail=words(mean))]
+
+
+def holds(found: running.Measured) -> bool:
+    """Whether a rate is held."""
+    return found.lost == found.skipped == 0 and found.late <= LATE_SHARE * found.samples
+
+
+def rate_words(found: running.Measured) -> str:
+    """Return what became of the samples of a rate."""
+    return (f'{found.late} of {found.samples} late, {found.skipped} periods skipped, '
+            f'{found.lost} lost, round trip {brief(spread(found.round_trips, 1e6))}')
+
+
+def rates(folder: Path, quick: bool) -> list[Row]:
+    """Return how 1 kHz goes and which rate is the highest that holds."""
+    long = running.loop(5.0 if quick else 60.0, folder / 'kilohertz', 'loop.rate=1000.0')
+    say(f'1 kHz: {rate_words(long)}')
+    rows = [Row('1 kHz: late', 100.0 * long.late / long.samples, 100.0 * LATE_SHARE, '%',
+                detail=rate_words(long)),
+            Row('1 kHz: lost or skipped', long.lost + long.skipped, 0.0, 'samples')]
+    if quick:
+        return rows
+    highest, detail = 0.0, ''
+    for rate in RATES:
+        found = running.loop(10.0, folder / f'rate-{rate:.0f}', f'loop.rate={rate}')
+        say(f'{rate:.0f} Hz: {rate_words(found)}')
+        detail = f'at {rate:.0f} Hz: {rate_words(found)}'
+        if not holds(found):
+            break
+        highest = rate
+    return [*rows, Row('highest rate that holds for 10 s', highest, unit='Hz', least=True,
+                       detail=detail)]
+
+
+def soak(folder: Path, seconds: float = 600.0) -> list[Row]:
+    """Return what ten minutes lose and how memory grows."""
+    found = running.loop(seconds, folder / 'soak', memory_every=10.0)
+    grown = {}
+    for name, seen in found.memory.items():
+        first = next(size for t, size in seen if t >= min(60.0, 0.1 * seconds))
+        grown[name] = (seen[-1][1] - first) / 1e6
+    minutes = seconds / 60.0
+    return [Row(f'{minutes:.0f} min: lost or skipped', found.lost + found.skipped, 0.0, 'samples',
+                detail=f'{found.samples} samples, {found.late} late, {found.too_late} too late'),
+            Row(f'{minutes:.0f} min: growth of the memory of a node since minute one',
+                max(grown.values()), 2.0, 'MB', detail=', '.join(
+                    f'{name} {size:+.2f}' for name, size in grown.items()))]
+
+
+def measure(quick: bool = False, parts: tuple[str, ...] = PARTS, rounds: int = 0) -> list[Row]:
+    """Return the lines of the table."""
+    rows = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if 'latency' in parts:
+            rows += latency(folder, rounds or (1 if quick else 5), quick)
+        if 'cpu' in parts:
+            rows += cpu(folder, rounds or (1 if quick else 3), quick)
+        if 'rates' in parts:
+            rows += rates(folder, quick)
+        if 'soak' in parts and not quick:
+            rows += soak(folder)
+    return rows
+
+
+def main() -> int:
+    """Print the table; return 1 if a target is missed."""
+    parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
+    parser.add_argument('--quick', action='store_true', help='short turns, no long runs')
+    parser.add_argument('--only', choices=PARTS, action='append', help='this part alone')
+    parser.add_argument('--rounds', type=int, default=0, help='turns')
+    arguments = parser.parse_args()
+    print(describe('ros-rclpy', 'ros-rmw-fastrtps-cpp'))
+    return show(measure(arguments.quick, tuple(arguments.only or PARTS), arguments.rounds))
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,185 @@
+"""The thread that talks to the drive in each cycle, so that the loop never waits (ours).
+
+    each command          RPDO at once
+    once in a period      RPDO, if there was no command, then SYNC `lead` before the next sample
+    each heartbeat        ours
+
+The phase of the samples is learnt from when the loop says that one ends, `Phase`. A loop that says
+nothing for `command_hold` while the drive is enabled gets a quick stop, as long as it is silent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+import struct
+import threading
+import time
+
+from dz_ros.drivers.cia402.bus import DriveBus, HEARTBEAT, OPERATIONAL, SYNC
+from dz_ros.drivers.cia402.states import Controlword, DriveState, Goal, Walk
+
+_RESET_TIME = 0.05
+"""The fault reset is asked for anew after this [s]: it is the edge that counts."""
+
+
+class Phase:
+    """When samples end, modulo the period: the early ones are followed, late ones hardly.
+
+    Args:
+        period: T [s].
+    """
+
+    EARLIER, LATER = 0.3, 0.02
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._base: float | None = None
+
+    def hear(self, now: float) -> None:
+        """Hear that a sample ends at `now` [s]."""
+        if self._base is None:
+            self._base = now
+            return
+        off = math.remainder(now - self._base, self._period)
+        self._base += off * (self.EARLIER if off < 0.0 else self.LATER)
+
+    def next(self, now: float, lead: float) -> float:
+        """Return the instant `lead` before a sample that is later than half a period from now."""
+        base = now if self._base is None else self._base - lead
+        return base + (math.floor((now - base) / self._period + 0.5) + 1.0) * self._period
+
+
+class Cycle:
+    """Sends commands, SYNC and heartbeats from a thread of its own.
+
+    Args:
+        bus: The drive.
+        period: T [s].
+        clock: Steady clock [s].
+
+    Attributes:
+        silences: How often the loop has been silent for too long.
+        round_trips: From each SYNC to its answer [s], since they were last taken.
+        sync_at: When the last SYNC went out [s].
+    """
+
+    def __init__(self, bus: DriveBus, period: float,
+                 clock: Callable[[], float] = time.monotonic) -> None:
+        p = bus.parameters
+        self.silences = 0
+        self.round_trips: list[float] = []
+        self.sync_at = -math.inf
+        self._bus = bus
+        self._period = period
+        self._lead = min(p.sync_lead, period)
+        self._beat_period = p.heartbeat
+        self._hold = p.command_hold
+        self._clock = clock
+        self._form = bus.command.form
+        self._identifier = bus.command.cob_id(p.node_id)
+        self._walk = Walk(p.transition_limit)
+        self._phase = Phase(period)
+        self._changed = threading.Condition()
+        self._goal, self._target, self._watched = Goal.OFF, 0, False
+        self._fresh = False
+        self._silent = False
+        self._resetting = False
+        self._heard = clock()
+        self._stop = False
+        self._thread = threading.Thread(target=self._run, name='cia402', daemon=True)
+
+    # From the loop's thread: at once.
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End, and wait until it has."""
+        with self._changed:
+            self._stop = True
+            self._changed.notify()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def want(self, goal: Goal, target: int | None = None) -> None:
+        """Have the drive go for this goal.
+
+        Args:
+            goal: Enabled, stopped, or without voltage.
+            target: Number of its target object; None: 0, and the loop may be silent.
+        """
+        with self._changed:
+            self._fresh = self._fresh or target is not None or goal is not self._goal
+            self._goal, self._target, self._watched = goal, target or 0, target is not None
+            self._heard = self._clock()
+            self._changed.notify()
+
+    def hear(self) -> None:
+        """Hear that a sample ends now."""
+        now = self._clock()
+        with self._changed:
+            self._phase.hear(now)
+            self._heard = now
+
+    def reset_fault(self, on: bool) -> None:
+        """Ask the drive to leave its fault, again and again until told not to."""
+        with self._changed:
+            self._resetting = on
+            self._fresh = True
+            self._changed.notify()
+
+    # The thread.
+
+    def _run(self) -> None:
+        next_sync = next_beat = self._clock()
+        while True:
+            with self._changed:
+                due = min(next_sync, next_beat)
+                self._changed.wait_for(lambda: self._fresh or self._stop,
+                                       max(0.0, due - self._clock()))
+                if self._stop:
+                    return
+                fresh, self._fresh = self._fresh, False
+            now = self._clock()
+            if fresh or now >= next_sync:
+                self._send_command(now)
+            if now >= next_sync:
+                self._note_round_trip()
+                self.sync_at = self._clock()
+                self._bus.send(SYNC, b'')
+                with self._changed:
+                    next_sync = self._phase.next(now, self._lead)
+            if now >= next_beat:
+                self._bus.send(HEARTBEAT + self._bus.parameters.master_id, bytes((OPERATIONAL,)))
+                next_beat = max(next_beat + self._beat_period, now)
+            self._bus.watch(now)
+
+    def _send_command(self, now: float) -> None:
+        """Send the controlword that the state asks for, and the target."""
+        with self._changed:
+            goal, target, resetting = self._goal, self._target, self._resetting
+            silent = self._watched and now - self._heard > self._hold
+            self.silences += silent and not self._silent
+            self._silent = silent
+        if silent or (self._bus.trouble and goal is Goal.ENABLED and not resetting):
+            goal = Goal.SAFE
+        self._walk.want(goal, now)
+        state = self._bus.state
+        word, wrong = self._walk.look(state, self._bus.said_at, now)
+        if wrong:
+            self._bus.complain(wrong)
+        if resetting and state is DriveState.FAULT:
+            edge = int(now / _RESET_TIME) % 2 == 0
+            word = Controlword.FAULT_RESET if edge else Controlword.DISABLE_VOLTAGE
+        if goal is not Goal.ENABLED or state is not DriveState.ENABLED:
+            target = 0
+        self._bus.send(self._identifier, struct.pack(self._form, word, target))
+
+    def _note_round_trip(self) -> None:
+        """Take note of how long the answer to the last SYNC took."""
+        found = self._bus.measurement
+        if found is not None and found.at >= self.sync_at:
+            self.round_trips.append(found.at - self.sync_at)
+            del self.round_trips[:-4096]

@@ -1,0 +1,158 @@
+"""A simulated servo drive on a CAN bus, real CANopen and all, with a plant behind a dead-zone.
+
+canopen's `LocalNode` is its SDO server, NMT slave and heartbeat; what a drive does with that is
+here: PDOs as they were mapped, SYNC, the state machine, watchdogs of its own (consumer heartbeat,
+event timer of the RPDO), EMCY. It is a process of its own on any bus python-can knows; on
+``udp_multicast`` no hardware is needed.
+
+Faults come from the script, or while it runs from any master by SDO: the number of a fault in
+`FAULTS` into 2000h, after its value (e.g. the code of an EMCY) into 2001h and its duration in ms
+into 2002h.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+import math
+import threading
+import time
+from typing import Any
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.schema import parameter
+from dz_ros.drivers.cia402.node import DriveNode
+from dz_ros.drivers.cia402.settings import Cia402Parameters
+from dz_ros.drivers.emulators import Emulator, Fault
+from dz_ros.errors import ConfigurationError
+
+OVERCURRENT = 0x2310
+FAULTS = {
+    'emcy': 'EMCY and fault; VALUE: error code, 8976 = 2310h unless given',
+    'stuck': 'the same, and for S s no reset helps',
+    'heartbeat': 'sends no heartbeat for S s',
+    'restart': 'loses its settings and boots anew; S s until it is there again',
+    'bus-off': 'neither hears nor is heard for S s',
+    'torque-off': 'loses the voltage without a fault, as by its safe-torque-off input',
+    'no-pdo': 'sends no PDO for S s',
+}
+"""What can go wrong; 2000h counts them from 1."""
+
+
+@dataclass(frozen=True)
+class EmulatedParameters:
+    """What the simulated drive has besides the sections driver and plant."""
+
+    brake: float = parameter(0.1, 's', 'time constant of its quick stop', minimum=0.001)
+    rated_torque: float = parameter(0.0, 'N m', 'rated torque it says it has; 0 = that of '
+                                    'driver.rated_torque', minimum=0.0)
+    quick_stop_exit: bool = parameter(True, '', 'goes from quick stop active back to operation '
+                                      'enabled (transition 16, optional in the profile)')
+
+
+class Cia402Emulator(Emulator):
+    """A simulated CiA 402 drive."""
+
+    name = 'cia402'
+    summary = 'servo drive on CANopen: state machine, PDOs, SYNC, heartbeat, EMCY'
+    faults = FAULTS
+    Parameters = EmulatedParameters
+
+    def __init__(self, parameters: Any, configuration: Configuration,
+                 faults: Sequence[Fault] = ()) -> None:
+        super().__init__(parameters, configuration, faults)
+        if not isinstance(configuration.driver_parameters, Cia402Parameters):
+            raise ConfigurationError('driver.name', configuration.driver_settings.name,
+                                     'must be cia402: bus, node id and scaling are in its section')
+        if configuration.plant.order > 2:
+            raise ConfigurationError('plant.model', configuration.plant.name, 'has order '
+                                     f'{configuration.plant.order}, a drive has position and '
+                                     'velocity')
+        self._tick = min(0.005, configuration.loop.period)
+        self._node: DriveNode | None = None
+        self._moved_at: float | None = None
+        self._pending = list(self.script)
+        self._ends: list[tuple[float, Callable[[], None], str]] = []
+        self._asked: list[Fault] = []
+        self._lock = threading.Lock()
+
+    def open(self) -> str:
+        """Be on the bus; return where.
+
+        Raises:
+            MissingDependencyError: canopen or python-can is not installed.
+            DriverError: There is no such bus.
+        """
+        self._node = node = DriveNode(self.configuration, self.parameters.brake,
+                                      self.parameters.rated_torque,
+                                      self.parameters.quick_stop_exit, self._ask)
+        node.open()
+        p = self.configuration.driver_parameters
+        return (f'simulated drive, node {p.node_id} on {p.interface} {p.channel}: '
+                f'{self.configuration.plant.name} behind a dead-zone')
+
+    def run(self, stopping: Callable[[], bool], say: Callable[[str], None]) -> None:
+        """Be the drive until told to stop."""
+        assert self._node is not None
+        node = self._node
+        node.say = say
+        while not stopping():
+            time.sleep(self._tick)
+            node.tick()
+            self._look(node, time.monotonic(), say)
+        for line in node.summary():
+            say(line)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        node, self._node = self._node, None
+        if node is not None:
+            node.close()
+
+    def _ask(self, number: int, value: int, duration: float) -> None:
+        """Take a fault that a master asks for by SDO."""
+        names = list(FAULTS)
+        if 1 <= number <= len(names):
+            with self._lock:
+                self._asked.append(Fault(names[number - 1], 0.0, duration,
+                                         float(value or OVERCURRENT)))
+
+    def _look(self, node: DriveNode, now: float, say: Callable[[str], None]) -> None:
+        """Begin and end the faults that are due."""
+        if self._moved_at is None and node.moved:
+            self._moved_at = now
+        with self._lock:
+            due, self._asked = self._asked, []
+        if self._moved_at is not None:
+            due += [item for item in self._pending if now - self._moved_at >= item.start]
+            self._pending = [item for item in self._pending if item not in due]
+        for item in due:
+            say(f'fault {item.name}')
+            end = self._begin(node, item)
+            if end is not None:
+                self._ends.append((now + item.duration, end, item.name))
+        for place in [entry for entry in self._ends if now >= entry[0]]:
+            self._ends.remove(place)
+            place[1]()
+            say(f'end of fault {place[2]}')
+
+    def _begin(self, node: DriveNode, item: Fault) -> Callable[[], None] | None:
+        """Let something go wrong; return what ends it."""
+        code = OVERCURRENT if math.isnan(item.value) else int(item.value)
+        if item.name in ('emcy', 'stuck'):
+            node.device.stuck = item.name == 'stuck'
+            node.fault(code)
+            return (lambda: setattr(node.device, 'stuck', False)) if node.device.stuck else None
+        if item.name == 'heartbeat':
+            return node.stop_heartbeat()
+        if item.name == 'restart':
+            node.switch_off()
+            return node.boot
+        if item.name == 'bus-off':
+            node.leave()
+            return node.join
+        if item.name == 'torque-off':
+            node.drop()
+            return None
+        node.sends_pdos = False
+        return lambda: setattr(node, 'sends_pdos', True)

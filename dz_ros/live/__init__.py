@@ -1,0 +1,1 @@
+"""A loop in the browser: rows for the page, its server, its assets; no ROS, no file is read."""

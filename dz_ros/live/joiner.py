@@ -1,0 +1,122 @@
+"""Messages of five topics → rows, in order, each as soon as it is whole or will not become so."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+import math
+
+from dz_ros.live.columns import Layout
+
+PATIENCE = 0.05
+"""A row waits so long for what is missing [s]."""
+ALIVE = 1.0
+"""A topic that has been silent for so long is not waited for [s]."""
+MOST = 5000
+"""More rows than this never wait."""
+
+
+@dataclass
+class _Row:
+    values: list[float]
+    since: float
+    have: set[str] = field(default_factory=set)
+
+
+class Joiner:
+    """Joins messages by the seq of the state they belong to.
+
+    Args:
+        layout: Where each number goes.
+
+    Attributes:
+        newest: seq of the newest state; −1 = none.
+        stamp: Its stamp [s].
+        restarted: Whether states began anew; whoever sees it makes a new joiner.
+        lost: States that never came, by the gaps in their seq.
+    """
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+        self.newest = -1
+        self.stamp = 0.0
+        self.restarted = False
+        self.lost = 0
+        self._rows: dict[int, _Row] = {}
+        self._queue: deque[int] = deque()
+        self._emitted = -1
+        self._heard: dict[str, float] = {}
+        self._echo = {topic: labels.index('echo_seq') for topic, labels in layout.labels.items()
+                      if topic in ('command', 'terms') and 'echo_seq' in labels}
+
+    def put(self, topic: str, numbers: Sequence[float], published: float, now: float) -> None:
+        """Take a message.
+
+        Args:
+            topic: Its topic.
+            numbers: What it carries, as the topic's labels name it.
+            published: When it was published [s since the epoch].
+            now: Now, by a steady clock [s].
+        """
+        self._heard[topic] = now
+        key = numbers[self._echo.get(topic, 0)]
+        if not math.isfinite(key):
+            return
+        seq = int(key)
+        if topic == 'state':
+            self._state(seq, numbers, published, now)
+        if seq <= self._emitted or seq < 0:
+            return
+        row = self._rows.get(seq)
+        if row is None:
+            if topic == 'state' or seq > self.newest + MOST:
+                return
+            row = self._rows[seq] = _Row([math.nan] * self.layout.base, now)
+        if topic in row.have:       # the first answer to a state is the one that acted
+            return
+        part = self.layout.parts[topic]
+        place = part.start
+        values = row.values
+        for pick in part.picks:
+            values[place] = numbers[pick]
+            place += 1
+        row.have.add(topic)
+
+    def _state(self, seq: int, numbers: Sequence[float], published: float, now: float) -> None:
+        """Note a state; the first one of a seq opens its row."""
+        stamp = numbers[1]
+        if seq < self.newest and stamp < self.stamp:
+            self.restarted = True
+            return
+        if seq > self.newest:
+            if self.newest >= 0:
+                self.lost += seq - self.newest - 1
+            self.newest, self.stamp = seq, stamp
+        if seq <= self._emitted:
+            return
+        row = self._rows.get(seq)
+        if row is None:
+            row = self._rows[seq] = _Row([math.nan] * self.layout.base, now)
+        if 'state' not in row.have:
+            row.values[0:3] = [float(seq), stamp, published]
+            self._queue.append(seq)
+
+    def take(self, now: float) -> list[list[float]]:
+        """Return the rows that are whole, or have waited long enough, in order of their seq."""
+        expected = {topic for topic, heard in self._heard.items() if now - heard < ALIVE}
+        found = []
+        while self._queue:
+            seq = self._queue[0]
+            row = self._rows[seq]
+            if (not expected <= row.have and now - row.since < PATIENCE
+                    and len(self._queue) < MOST):
+                break
+            self._queue.popleft()
+            if seq > self._emitted:
+                found.append(row.values)
+                self._emitted = seq
+            del self._rows[seq]
+        if len(self._rows) > 2 * MOST:      # answers to states that never came
+            self._rows = {seq: row for seq, row in self._rows.items() if seq > self._emitted}
+        return found

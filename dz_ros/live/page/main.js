@@ -1,0 +1,184 @@
+// The page: what comes in is kept in stores, what is looked at is drawn, as often as it can be.
+
+import {Actions} from './actions.js';
+import {csv, png} from './exports.js';
+import {Histogram} from './histograms.js';
+import {Link} from './link.js';
+import {Events, Nodes} from './nodes.js';
+import {Parameters} from './parameters.js';
+import {Plots} from './plots.js';
+import {condition, Tiles} from './readout.js';
+import {Scrub} from './scrub.js';
+import {RunStore, Store} from './store.js';
+import * as theme from './theme.js';
+import {keys, View} from './view.js';
+import {seconds} from './words.js';
+
+const FRAME = 50;       // ms between two drawings at least
+const WORDS = 100;      // ms between two writings of numbers
+const page = Object.fromEntries([...document.querySelectorAll('[id]')].map((node) => [node.id, node]));
+
+const app = {
+  link: null, hello: null, status: null, statusAt: 0, stores: [], plots: null, bars: [],
+  tiles: null, finished: false, dirty: true, cost: 0, drawnAt: 0, saidAt: 0,
+};
+const view = new View((what) => {
+  app.dirty = true;
+  if (what === 'window') app.scrub?.moved();
+  if (what === 'cursor') app.saidAt = 0;
+});
+const nodes = new Nodes(page.nodes, page.recording);
+const events = new Events(page.events);
+
+function hello(message) {
+  app.hello = message;
+  app.finished = false;
+  app.status = null;
+  document.title = `${message.title} – dz_ros`;
+  document.body.dataset.mode = message.mode;
+  page.title.textContent = message.title;
+  page.place.textContent = message.mode === 'run' ? message.runs.join('  ·  ')
+    : `namespace ${message.namespace}, kept for ${message.minutes} min`;
+  events.clear();
+  app.actions.allow(message);
+  app.parameters.show(message, message.mode === 'live');
+  const rate = message.rate || 200;
+  app.stores = message.mode === 'run'
+    ? message.runs.map((name) => new RunStore(message.columns, name))
+    : [new Store(message.columns, Math.ceil(message.minutes * 60 * rate))];
+  page.plots.replaceChildren();
+  app.plots = new Plots(page.plots, message, view, () => events.marks());
+  app.bars = [new Histogram(page.plots, 'interval', 'Period', 'interval', 1 / rate),
+              new Histogram(page.plots, 'round_trip', 'Round trip', 'round_trip', null)];
+  app.tiles = new Tiles(page.tiles, {...message, units: app.stores[0].units});
+  app.scrub.show(message.mode === 'run' ? app.stores : []);
+  if (message.mode === 'run') load();
+  else view.live();
+}
+
+async function load() {
+  for (const [run, store] of app.stores.entries()) {
+    const answer = await app.link.ask('rows', {run});
+    if (answer.ok && answer.values) {
+      store.fill(answer.values, answer.count);
+      store.whole = app.hello.lengths[run] === answer.count;
+    }
+  }
+  const first = Math.min(...app.stores.map((store) => store.first));
+  const last = Math.max(...app.stores.map((store) => store.last));
+  view.reach(first, last);
+  page.span.value = '0';
+  view.set({follow: false, span: last - first, end: last});
+}
+
+function detail(store, answer, from, to) {
+  const held = new Store(store.columns, answer.count);
+  held.append(answer.values, answer.count);
+  store.detail = Object.assign(held, {from, to});
+  app.dirty = true;
+}
+
+function rows(frame) {
+  if (!app.stores.length || frame.number !== app.hello.generation) return;
+  app.stores[0].append(frame.values, frame.count);
+  view.reach(app.stores[0].first, app.stores[0].last);
+  app.finished = false;
+  app.dirty = true;
+}
+
+function facts(message) {
+  Object.assign(app.hello, message);
+  page.title.textContent = message.title;
+  app.parameters.show(app.hello, app.hello.mode === 'live');
+  app.actions.allow(app.hello);
+  if (app.plots) app.plots.hello = app.hello;
+}
+
+function happened(event) {
+  events.add(event);
+  if (event.event === 'finished') app.finished = true;
+  app.dirty = true;
+}
+
+function frame(now) {
+  requestAnimationFrame(frame);
+  app.scrub.step();
+  if (app.dirty && app.plots && now - app.drawnAt > Math.max(FRAME, 3 * app.cost)) {
+    const begun = performance.now();
+    app.drawnAt = now;
+    app.dirty = false;
+    app.plots.draw(app.stores);
+    app.cost = performance.now() - begun;
+  }
+  if (now - app.saidAt > WORDS) {
+    app.saidAt = now;
+    words();
+  }
+}
+
+let barsAt = 0;
+
+function words() {
+  const [state, word, why] = condition({...app, view});
+  const fresh = ['live', 'paused', 'recorded', 'fault', 'waiting'].includes(state);
+  if (document.body.dataset.state !== state) document.body.dataset.state = state;
+  if (page['state-word'].textContent !== word) page['state-word'].textContent = word;
+  if (page['state-why'].textContent !== why) page['state-why'].textContent = why;
+  page.pause.textContent = view.follow ? 'Pause' : 'Resume';
+  page.pause.setAttribute('aria-pressed', String(!view.follow));
+  if (!app.tiles) return;
+  const silent = state === 'off' || (state === 'gone' && performance.now() - app.link.heard > 1000);
+  nodes.say(app.status, silent);
+  const [from, to] = view.window;
+  app.tiles.say(app.stores[0], view.cursor, from, to, fresh);
+  app.plots.say(fresh || view.cursor !== null ? app.stores : [], view.cursor);
+  page['cursor-time'].textContent = view.cursor === null ? '–' : seconds(view.cursor, 3);
+  const record = fresh && app.status?.recording;
+  app.tiles.say2('recording', !fresh ? '–' : record ? `${record['size [MB]'] ?? '?'} MB` : 'off',
+                 record ? 'good' : '');
+  if (performance.now() - barsAt > 500) {
+    barsAt = performance.now();
+    for (const bars of app.bars) bars.draw(app.stores[0], from, to);
+    app.tiles.say2('period', fresh ? app.bars[0].words.textContent.match(/p99 ([\d.]+)/)?.[1]
+      ?.concat(' ms') ?? '–' : '–');
+  }
+}
+
+function step(by) {
+  const store = app.stores[0];
+  if (!store?.count) return;
+  const [from, to] = view.window;
+  const held = store.over(from, to);
+  const place = held.nearest(view.cursor ?? to) + by;
+  const time = held.data.stamp[Math.min(Math.max(place, 0), held.count - 1)];
+  view.point(time);
+  app.plots.point(time);
+}
+
+function wire() {
+  page.pause.addEventListener('click', () => (view.follow ? view.pause() : view.live()));
+  page['to-live'].addEventListener('click', () => {
+    if (app.hello?.mode === 'run') view.set({end: view.limits[1]});
+    else view.live();
+  });
+  page.span.addEventListener('change', () => view.set({span: Number(page.span.value)}));
+  page['zoom-in'].addEventListener('click', () => view.zoom(0.5));
+  page['zoom-out'].addEventListener('click', () => view.zoom(2));
+  page.back.addEventListener('click', () => view.pan(-0.5));
+  page.forth.addEventListener('click', () => view.pan(0.5));
+  page.png.addEventListener('click', () => png(app.hello.title, ...view.window));
+  page.csv.addEventListener('click', () => csv(app.stores, app.hello.title, ...view.window));
+  window.addEventListener('keydown', keys(view, step));
+  theme.start(() => { app.plots?.redraw(); app.dirty = true; barsAt = 0; });
+}
+
+app.link = new Link({
+  hello, facts, rows, event: happened,
+  status: (message) => { app.status = message; app.statusAt = performance.now(); },
+});
+app.actions = new Actions(app.link, page);
+app.parameters = new Parameters(page.parameters, app.actions);
+app.scrub = new Scrub(page, view, app.link, detail);
+wire();
+requestAnimationFrame(frame);
+window.dzRos = {app, view};     // for whoever looks with the browser's tools

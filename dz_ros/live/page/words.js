@@ -1,0 +1,51 @@
+// Names of columns as they are read, and numbers as they are written.
+
+const PLAIN = {
+  x0: 'x', xd0: 'x_d', error: 'x̃', omega: 'Ω_ε', v: 'v', w: 'w', s: 's', s_eps: 's_ε',
+  s_over_epsilon: 's/ε', u_fd: 'u_fd', phi: 'φ̂', v_damping: 'damping',
+  v_feed_forward: 'feed-forward', v_regressor: 'regressor', v_robust: 'robust',
+  v_extra: 'extra', round_trip: 'round trip', interval: 'period', disturbance: 'disturbance',
+};
+const LOW = '₀₁₂₃₄₅₆₇₈₉';
+
+export function word(name) {
+  if (PLAIN[name]) return PLAIN[name];
+  const theta = /^theta(\d+)$/.exec(name);
+  if (theta) return 'θ̂' + [...theta[1]].map((digit) => LOW[digit]).join('');
+  return name.replaceAll('_', ' ');
+}
+
+export function number(value, digits = 4) {
+  if (value === null || value === undefined || Number.isNaN(value)) return '–';
+  const size = Math.abs(value);
+  if (size !== 0 && (size < 1e-4 || size >= 1e6)) {
+    return value.toExponential(2).replace('-', '−').replace('e−', 'e−').replace('e+', 'e');
+  }
+  const whole = size < 1 ? Math.floor(Math.log10(size || 1)) + 1 : Math.floor(Math.log10(size));
+  const places = size < 1 ? digits - 1 - whole : Math.max(0, digits - 1 - whole);
+  return value.toFixed(places).replace('-', '−');
+}
+
+export function withUnit(value, unit, digits) {
+  const text = number(value, digits);
+  return unit && text !== '–' ? `${text} ${unit}` : text;
+}
+
+export function seconds(value, places = 2) {
+  return Number.isFinite(value) ? `${value.toFixed(places).replace('-', '−')} s` : '–';
+}
+
+export function megabytes(text) {
+  return text === undefined ? '' : `${text} MB`;
+}
+
+export function make(tag, attributes = {}, ...children) {
+  const node = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name === 'class') node.className = value;
+    else if (name in node && name !== 'list') node[name] = value;
+    else node.setAttribute(name, value);
+  }
+  node.append(...children);
+  return node;
+}

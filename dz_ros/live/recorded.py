@@ -1,0 +1,154 @@
+"""Recorded runs as the page shows them: one, or two laid over each other."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dz_ros.analysis.align import align, joined
+from dz_ros.analysis.sequence import longest_stretch
+from dz_ros.core.dataset import RunData
+from dz_ros.errors import ConfigurationError
+from dz_ros.live.columns import Layout
+from dz_ros.live.derived import Deriver
+from dz_ros.live.describe import facts
+from dz_ros.live.history import ANSWER, History, pack
+from dz_ros.live.source import Source
+from dz_ros.live.stated import brief, Stated
+
+Array = NDArray[np.float64]
+MOST_ROWS = 60000
+"""More rows than this are thinned to those that a picture needs."""
+TELLING = ('x0', 'error', 'v', 's_over_epsilon')
+"""Columns of which no peak is lost in thinning."""
+
+
+class Recorded(Source):
+    """Recorded runs.
+
+    Args:
+        runs: Name → run, in the order shown.
+
+    Raises:
+        RecordingError: A run has nothing to show.
+    """
+
+    def __init__(self, runs: Mapping[str, RunData]) -> None:
+        self._names = list(runs)
+        labels: dict[str, tuple[str, ...]] = {}
+        for run in runs.values():
+            for topic, channel in run.channels.items():
+                known = labels.get(topic, ())
+                labels[topic] = (*known, *(item for item in channel.labels if item not in known))
+        self._layout = Layout(labels)
+        self._tables: list[Array] = []
+        self._events: list[dict[str, Any]] = []
+        self._stated: list[Stated] = []
+        for number, run in enumerate(runs.values()):
+            self._add(number, run)
+        self.history = History(1, 1)
+
+    def _add(self, number: int, run: RunData) -> None:
+        """Join a run's channels; put its configurations and events in order."""
+        run, _ = longest_stretch(run)
+        deriver = Deriver(self._layout)
+        stated = Stated()
+        stated.begin(run.configuration)
+        if stated.configuration is not None:
+            deriver.state(0.0, stated.configuration)
+        state = run.channels.get('state')
+        for log_time, node, text in run.events:
+            try:
+                event = json.loads(text)
+            except (ValueError, RecursionError):
+                continue
+            if not isinstance(event, dict):
+                continue
+            if event.get('event') == 'configuration':
+                event = {**event, 'changed': stated.hear(event)}
+                if stated.configuration is not None:
+                    deriver.state(log_time * 1e-9, stated.configuration)
+            stamp = 0.0 if state is None or not len(state) else float(np.interp(
+                log_time, state.log_time, state['stamp']))
+            # Of a second run only the curves are shown; its events would mark the first one's.
+            if number == 0:
+                self._events.append({**brief(event), 'kind': 'event', 'time': log_time * 1e-9,
+                                     'stamp': stamp, 'node': node,
+                                     'event': str(event.get('event', ''))})
+        self._tables.append(deriver.complete(self._table(run)))
+        self._stated.append(stated)
+
+    def _table(self, run: RunData) -> Array:
+        """Return the records' columns of a run, shape (N, layout.base)."""
+        found = align(run)
+        order = found.x.shape[1]
+        state = run.channels['state']
+        extra = {**joined(state, found.seq, ('round_trip',)),
+                 **joined(run.channels.get('command'), found.seq, ('hold',))}
+        place = {int(seq): row for row, seq in enumerate(state['seq'].tolist())}
+        rows = [place[int(seq)] for seq in found.seq]
+        columns: dict[str, Any] = {
+            'seq': found.seq.astype(float), 'stamp': found.t,
+            'published': state.publish_time[rows] * 1e-9, 'v': found.v, **extra,
+            **{f'x{i}': found.x[:, i] for i in range(order)},
+            **{f'xd{i}': found.x_d[:, i] for i in range(order + 1)},
+            **found.terms, **found.truth}
+        blank = np.full(len(found.t), np.nan)
+        return np.column_stack([columns.get(name, blank)
+                                for name in self._layout.names[:self._layout.base]])
+
+    def hello(self) -> dict[str, Any]:
+        """Return columns, names and lengths of the runs."""
+        c = self._stated[0].configuration
+        rates = [1.0 / float(np.median(np.diff(table[:, 1]))) for table in self._tables]
+        described = {**facts(c), 'parameters': []}
+        return {'rate': rates[0], **described, 'mode': 'run', 'runs': self._names,
+                'title': ' and '.join(self._names), 'lengths': [len(table)
+                                                               for table in self._tables],
+                'columns': self._layout.describe(c), 'signals': list(self._layout.signals),
+                'minutes': 0, 'namespace': ''}
+
+    def now(self) -> list[dict[str, Any]]:
+        """Return the events of the first run."""
+        return self._events
+
+    async def ask(self, request: dict[str, Any]) -> bytes:
+        """Return the rows of a run between two instants, thinned where they are many.
+
+        Raises:
+            ConfigurationError: Not a run, or not instants.
+        """
+        run = request.get('run')
+        if isinstance(run, bool) or not isinstance(run, int) or not 0 <= run < len(self._tables):
+            raise ConfigurationError('run', run, f'must be 0 to {len(self._tables) - 1}')
+        limits = []
+        for name, default in (('from', -np.inf), ('to', np.inf)):
+            value = request.get(name, default)
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                raise ConfigurationError(name, value, 'must be an instant in s')
+            limits.append(float(value))
+        table = self._tables[run]
+        first, last = np.searchsorted(table[:, 1], limits)
+        rows = self._thin(table[max(first - 1, 0):last + 1])
+        return pack(ANSWER, request['id'], rows, run, 0.0)
+
+    def _thin(self, rows: Array) -> Array:
+        """Return so few rows that a browser can keep them, the extremes of each stretch."""
+        if len(rows) <= MOST_ROWS:
+            return rows
+        places = [self._layout.place(name) for name in TELLING]
+        telling = [place for place in places if place is not None]
+        size = -(-len(rows) * 2 * len(telling) // MOST_ROWS)
+        count = len(rows) // size
+        kept = [np.arange(count * size, len(rows)), np.arange(0, count * size, size)]
+        for place in telling:
+            stretches = rows[:count * size, place].reshape(count, size)
+            kept.append(np.arange(count) * size + np.where(
+                np.isnan(stretches), np.inf, stretches).argmin(axis=1))
+            kept.append(np.arange(count) * size + np.where(
+                np.isnan(stretches), -np.inf, stretches).argmax(axis=1))
+        return rows[np.unique(np.concatenate(kept))]

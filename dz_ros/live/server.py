@@ -1,0 +1,289 @@
+"""The page's server: static files from memory, and one WebSocket a viewer.
+
+A viewer's first text is ``{"hello": 1, "token": …, "seconds": …}``; it gets a text of kind
+``hello``, then rows as frames (`dz_ros.live.history`) and texts of kinds ``status``, ``event`` and
+``result``. What it asks has an ``id`` and a ``do``. Whatever is not that ends its connection, and
+its alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+import json
+import time
+from typing import Any
+
+from dz_ros.errors import DzRosError, LoopError, MissingDependencyError
+from dz_ros.live.access import Access
+from dz_ros.live.assets import ASSETS, read_assets
+from dz_ros.live.connections import Connections
+from dz_ros.live.requests import HEADERS, parse, POLICY, ProtocolError, result
+from dz_ros.live.source import Source
+from dz_ros.live.viewer import Viewer
+
+NO_AIOHTTP = "the page needs aiohttp: pip install 'dz_ros[live]'"
+PORTS = range(8420, 8440)
+"""Ports tried where none is given."""
+MOST_VIEWERS = 16
+MESSAGE = 16384
+"""Largest text a viewer may send [bytes]."""
+FIRST_WORD = 5.0
+"""A viewer must have said hello by then [s]."""
+ACTIONS = frozenset(('reset', 'activate', 'deactivate', 'set', 'kick'))
+QUESTIONS = frozenset(('rows', 'histogram'))
+
+
+class Server:
+    """Serves one source.
+
+    Args:
+        source: What is shown.
+        access: Who may do what.
+
+    Raises:
+        MissingDependencyError: aiohttp is not installed.
+    """
+
+    def __init__(self, source: Source, access: Access) -> None:
+        try:
+            import aiohttp.web
+        except ImportError:
+            raise MissingDependencyError(NO_AIOHTTP) from None
+        self._web = aiohttp.web
+        self._kinds = aiohttp.WSMsgType
+        self._source = source
+        self._access = access
+        self._assets = read_assets()
+        self.viewers: set[Viewer] = set()
+        self.port = 0
+        self._runner: Any = None
+        self._connections: Connections | None = None
+        self._listener: asyncio.AbstractServer | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def start(self, port: int = 0) -> str:
+        """Listen; return the address to open.
+
+        Args:
+            port: Port; 0 = the first free one of `PORTS`.
+
+        Raises:
+            LoopError: The port is taken, or the address is not this machine's.
+        """
+        web = self._web
+
+        @web.middleware     # type: ignore[untyped-decorator]
+        async def guarded(request: Any, handler: Callable[[Any], Awaitable[Any]]) -> Any:
+            return await self._guarded(request, handler)
+
+        app = web.Application(middlewares=[guarded], client_max_size=1024)
+        app.router.add_get('/ws', self._serve_viewer)
+        for path in ASSETS:
+            app.router.add_get(path, self._serve_asset)
+        self._runner = web.AppRunner(app, access_log=None, handle_signals=False,
+                                     keepalive_timeout=5.0, max_line_size=2048,
+                                     max_field_size=2048)
+        await self._runner.setup()
+        self._connections = Connections(self._runner.server)
+        loop = asyncio.get_running_loop()
+        problem: OSError | None = None
+        for candidate in (port,) if port else PORTS:
+            try:
+                self._listener = await loop.create_server(
+                    self._connections, self._access.host, candidate, backlog=32)
+            except OSError as error:
+                problem = error
+                continue
+            self.port = candidate
+            return self._access.address(candidate)
+        await self._runner.cleanup()
+        what = f'port {port}' if port else f'ports {PORTS.start} to {PORTS.stop - 1}'
+        reason = problem.strerror if problem is not None else ''
+        raise LoopError(f'{self._access.host}, {what}: cannot be listened on ({reason}): choose '
+                        'another port or host')
+
+    async def close(self) -> None:
+        """Part with every viewer and stop listening."""
+        if self._listener is not None:
+            self._listener.close()
+        for viewer in list(self.viewers):
+            viewer.drop()
+        for task in list(self._tasks):
+            task.cancel()
+        if self._runner is not None:
+            await self._runner.cleanup()
+
+    def publish(self) -> None:
+        """Wake every viewer that has rows to get; drop those that do not read."""
+        now = time.monotonic()
+        for viewer in list(self.viewers):
+            if viewer.stalled(now):
+                viewer.drop()
+            else:
+                viewer.wake.set()
+
+    def say(self, message: dict[str, Any]) -> None:
+        """Send a text to every viewer."""
+        if self.viewers:
+            text = json.dumps(message, ensure_ascii=False, allow_nan=False)
+            for viewer in list(self.viewers):
+                viewer.say(text)
+
+    def renew(self) -> None:
+        """Introduce the source again, whose columns have changed."""
+        for viewer in list(self.viewers):
+            self._introduce(viewer, viewer.token, viewer.seconds)
+
+    # Requests.
+
+    async def _guarded(self, request: Any, handler: Callable[[Any], Awaitable[Any]]) -> Any:
+        """Look at every request before anything else does."""
+        if self._connections is not None:
+            self._connections.greet(request.protocol)
+        web = self._web
+        if not self._access.host_allowed(request.headers.get('Host'), self.port):
+            response = web.Response(status=421, text='this address is not mine\n')
+        else:
+            try:
+                response = await handler(request)
+            except web.HTTPException as error:
+                response = web.Response(status=error.status, text=f'{error.reason}\n')
+        if not response.prepared:
+            response.headers.update(HEADERS)
+            response.headers['Content-Security-Policy'] = POLICY.format(
+                host=request.headers.get('Host', ''))
+            response.force_close()
+        return response
+
+    async def _serve_asset(self, request: Any) -> Any:
+        kind, body = self._assets[request.path]
+        return self._web.Response(body=body, content_type=kind, charset=(
+            'utf-8' if kind.startswith('text/') else None))
+
+    async def _serve_viewer(self, request: Any) -> Any:
+        web = self._web
+        if not self._access.origin_allowed(request.headers.get('Origin'),
+                                           request.headers.get('Host')):
+            raise web.HTTPForbidden(reason='not from a page of this server')
+        if len(self.viewers) >= MOST_VIEWERS:
+            raise web.HTTPServiceUnavailable(reason=f'{MOST_VIEWERS} viewers are here already')
+        answer = web.WebSocketResponse(max_msg_size=MESSAGE, compress=False, heartbeat=20.0,
+                                       timeout=2.0)
+        await answer.prepare(request)
+        peer = request.remote or '?'
+        viewer = Viewer(answer, request.transport, peer)
+        code, reason = 1008, 'hello expected'
+        sender: asyncio.Task[None] | None = None
+        try:
+            token, seconds = await self._first_word(answer)
+            if not self._access.may_look(token):
+                code, reason = 4401, 'the token is missing or wrong'
+                return answer
+            if len(self.viewers) >= MOST_VIEWERS:
+                code, reason = 1013, f'{MOST_VIEWERS} viewers are here already'
+                return answer
+            self._introduce(viewer, token, seconds)
+            self.viewers.add(viewer)
+            sender = asyncio.create_task(self._feed(viewer))
+            async for message in answer:
+                self._hear(viewer, message)
+            code, reason = 1000, ''
+        except ProtocolError as error:
+            reason = str(error)
+        except (ConnectionError, asyncio.TimeoutError):
+            pass
+        finally:
+            self.viewers.discard(viewer)
+            if sender is not None:
+                sender.cancel()
+            if not answer.closed:
+                await answer.close(code=code, message=reason.encode()[:120])
+        return answer
+
+    async def _first_word(self, answer: Any) -> tuple[str, float]:
+        """Return token and seconds of history wanted."""
+        first = parse(await answer.receive(FIRST_WORD), self._kinds)
+        seconds = first.get('seconds', 0)
+        if 'hello' not in first or not isinstance(seconds, (int, float)) or not (
+                0 <= seconds < 1e6):
+            raise ProtocolError('hello expected')
+        return str(first.get('token', '')), float(seconds)
+
+    def _introduce(self, viewer: Viewer, token: str, seconds: float) -> None:
+        """Tell a viewer what it sees, and give it the rows from so many seconds ago on."""
+        history = self._source.history
+        hello = self._source.hello()
+        why_not = self._access.why_not(token)
+        viewer.token, viewer.seconds, viewer.may_act = token, seconds, not why_not
+        viewer.say({'kind': 'hello', **hello, 'generation': history.generation,
+                    'may_act': not why_not, 'why_not': why_not, 'time': time.time()})
+        for message in self._source.now():
+            viewer.say(message)
+        viewer.generation = history.generation
+        viewer.cursor = history.begin(seconds * hello.get('rate', 0.0))
+
+    async def _feed(self, viewer: Viewer) -> None:
+        """Send a viewer what there is until it goes."""
+        try:
+            while True:
+                await viewer.wake.wait()
+                viewer.wake.clear()
+                await viewer.send_all(self._source.history)
+        except (ConnectionError, RuntimeError):
+            viewer.drop()
+
+    def _hear(self, viewer: Viewer, message: Any) -> None:
+        """Take a request.
+
+        Raises:
+            ProtocolError: It is none, or one too many.
+        """
+        request = parse(message, self._kinds)
+        if not viewer.budget.spend(time.monotonic()):
+            raise ProtocolError('too many requests')
+        what, number = request.get('do'), request.get('id')
+        if not isinstance(what, str) or isinstance(number, bool) or not isinstance(number, int) \
+                or not 0 <= number < 2 ** 31:
+            raise ProtocolError('do and id expected')
+        if what == 'estop':     # at once: nothing that is being worked on holds it up
+            viewer.say(self._stop(viewer, number))
+        elif what in ACTIONS or what in QUESTIONS:
+            if viewer.busy:
+                viewer.say(result(number, False, 'another request is being worked on'))
+                return
+            viewer.busy = True
+            task = asyncio.create_task(self._work(viewer, what, number, request))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+        else:
+            raise ProtocolError('no such request')
+
+    def _stop(self, viewer: Viewer, number: int) -> dict[str, Any]:
+        if not viewer.may_act:
+            return result(number, False, self._access.why_not(viewer.token))
+        try:
+            return {**result(number, True, ''), **self._source.estop(viewer.name)}
+        except DzRosError as error:
+            return result(number, False, str(error))
+
+    async def _work(self, viewer: Viewer, what: str, number: int,
+                    request: dict[str, Any]) -> None:
+        """Work on a request and answer it."""
+        try:
+            if what in QUESTIONS:
+                found = await self._source.ask(request)
+                if isinstance(found, bytes):
+                    viewer.give(found)
+                    return
+                answer = {**result(number, True, ''), **found}
+            elif not viewer.may_act:
+                answer = result(number, False, self._access.why_not(viewer.token))
+            else:
+                answer = {**result(number, True, ''),
+                          **await self._source.act(viewer.name, request)}
+        except DzRosError as error:
+            answer = result(number, False, str(error))
+        finally:
+            viewer.busy = False
+        viewer.say(answer)

@@ -1,0 +1,50 @@
+"""What a page shows: a running loop or recorded runs, as the server sees either."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import Any
+
+from dz_ros.live.history import History
+
+
+class Source(ABC):
+    """Something to show.
+
+    Attributes:
+        history: Rows that are sent to every viewer as they come.
+    """
+
+    history: History
+
+    @abstractmethod
+    def hello(self) -> dict[str, Any]:
+        """Return what a page must know first: columns, units, parameters, what it may do."""
+
+    def now(self) -> list[dict[str, Any]]:
+        """Return what a viewer that has just come must know besides: state, events so far."""
+        return []
+
+    def estop(self, who: str) -> dict[str, Any]:
+        """Stop the loop at once.
+
+        Raises:
+            DzRosError: There is nothing to stop.
+        """
+        raise NotImplementedError
+
+    async def act(self, who: str, request: dict[str, Any]) -> dict[str, Any]:
+        """Do what an operator asks; return what came of it: `ok` and `message`.
+
+        Raises:
+            DzRosError: It cannot be done, and why.
+        """
+        raise NotImplementedError
+
+    async def ask(self, request: dict[str, Any]) -> bytes | dict[str, Any]:
+        """Return numbers or a text that somebody who looks asks for.
+
+        Raises:
+            DzRosError: There are none.
+        """
+        raise NotImplementedError

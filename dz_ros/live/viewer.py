@@ -1,0 +1,120 @@
+"""One browser: what it is sent, and when it is dropped.
+
+Rows are not queued for it: a viewer remembers how far it has got and takes the rows from there on
+out of the one history. So a viewer that stops reading costs nothing but the system's buffers, and
+is dropped once a frame has not left for `STALLED` seconds.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+import json
+import time
+from typing import Any
+
+STALLED = 5.0
+"""A frame that has not left after this long means that nobody reads [s]."""
+TEXTS = 400
+"""More texts waiting than this mean the same."""
+RATE, BURST = 20.0, 40.0
+"""Requests a viewer may send: a second, and at once."""
+
+
+class Budget:
+    """Requests left to a viewer.
+
+    Args:
+        now: Now, by a steady clock [s].
+    """
+
+    def __init__(self, now: float) -> None:
+        self._left = BURST
+        self._at = now
+
+    def spend(self, now: float) -> bool:
+        """Take one; return False where none is left."""
+        self._left = min(BURST, self._left + (now - self._at) * RATE)
+        self._at = now
+        if self._left < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+
+class Viewer:
+    """A connected page.
+
+    Args:
+        socket: Its prepared WebSocket.
+        transport: The connection below it.
+        name: Who it is, for the record of actions.
+
+    Attributes:
+        token: What it has shown.
+        may_act: Whether its commands are heard.
+        seconds: How much of the past it wants [s].
+        cursor: Count of the first row it does not have; None = it has not asked yet.
+        busy: Whether a request of its is being worked on.
+    """
+
+    def __init__(self, socket: Any, transport: Any, name: str) -> None:
+        self.name = name
+        self.token = ''
+        self.may_act = False
+        self.seconds = 0.0
+        self.cursor: int | None = None
+        self.generation = -1
+        self.busy = False
+        self.budget = Budget(time.monotonic())
+        self.wake = asyncio.Event()
+        self._socket = socket
+        self._transport = transport
+        self._waiting: deque[bytes | str] = deque()
+        self._sending_since: float | None = None
+
+    def say(self, message: dict[str, Any] | str) -> None:
+        """Queue a text, given as what it means or as it is sent."""
+        self._put(message if isinstance(message, str)
+                  else json.dumps(message, ensure_ascii=False, allow_nan=False))
+
+    def give(self, frame: bytes) -> None:
+        """Queue an answer in numbers."""
+        self._put(frame)
+
+    def _put(self, item: bytes | str) -> None:
+        if len(self._waiting) >= TEXTS:
+            self.drop()
+            return
+        self._waiting.append(item)
+        self.wake.set()
+
+    async def send_all(self, history: Any) -> None:
+        """Send what waits, then the rows it does not have yet."""
+        while self._waiting:
+            await self._send(self._waiting.popleft())
+        while (self.cursor is not None and self.generation == history.generation
+               and self.cursor < history.head and not self._waiting):
+            frame, self.cursor = history.frame(self.cursor, time.time())
+            await self._send(frame)
+            if self.cursor < history.head:
+                await asyncio.sleep(0)      # a long history lets others have their turn
+        if self._waiting:
+            self.wake.set()
+
+    async def _send(self, item: bytes | str) -> None:
+        self._sending_since = time.monotonic()
+        if isinstance(item, str):
+            await self._socket.send_str(item)
+        else:
+            await self._socket.send_bytes(item)
+        self._sending_since = None
+
+    def stalled(self, now: float) -> bool:
+        """Return whether what is being sent does not leave."""
+        return self._sending_since is not None and now - self._sending_since > STALLED
+
+    def drop(self) -> None:
+        """Cut the connection: a farewell would wait for whoever does not read."""
+        if self._transport is not None:
+            self._transport.abort()

@@ -1,0 +1,120 @@
+"""A source without a loop, and a server around it, for the tests of the page's server."""
+
+import asyncio
+import json
+
+import numpy as np
+import pytest
+
+from dz_ros.errors import ConfigurationError
+from dz_ros.live.access import Access
+from dz_ros.live.history import ANSWER, History, pack
+from dz_ros.live.source import Source
+
+aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed: no page to serve')
+
+
+class Puppet(Source):
+    """Something to show that notes what is asked of it."""
+
+    def __init__(self):
+        self.history = History(2, 5000)
+        self.stopped, self.acted = [], []
+
+    def hello(self):
+        return {'mode': 'live', 'columns': [{'name': 'seq', 'unit': ''}], 'rate': 100.0}
+
+    def now(self):
+        return [{'kind': 'status', 'age': 0.0}]
+
+    def estop(self, who):
+        self.stopped.append(who)
+        return {'message': 'stopped'}
+
+    async def act(self, who, request):
+        self.acted.append(request)
+        if request['do'] == 'kick':
+            raise ConfigurationError('kick', 1, 'must be gentle')
+        await asyncio.sleep(0.05)
+        return {'message': 'done'}
+
+    async def ask(self, request):
+        return pack(ANSWER, request['id'], np.zeros((1, 2)), 0, 0.0)
+
+    def add(self, count):
+        first = self.history.head
+        self.history.append(np.column_stack([np.arange(first, first + count)] * 2).astype(float))
+
+
+class Page:
+    """What a test does to a server: `get`, `viewer`."""
+
+    def __init__(self, server, source, access):
+        self.server, self.source, self.access = server, source, access
+        self.session = aiohttp.ClientSession()
+
+    @property
+    def port(self):
+        return self.server.port
+
+    @property
+    def base(self):
+        return f'http://127.0.0.1:{self.port}'
+
+    async def viewer(self, token=None, origin=None, seconds=0.0, hello=True, **headers):
+        """Return a WebSocket after its hello; `token` None is the right one."""
+        ws = await self.session.ws_connect(
+            self.base + '/ws', headers={'Origin': origin or self.base, **headers}, max_msg_size=0)
+        if hello:
+            await ws.send_json({'hello': 1, 'seconds': seconds,
+                                'token': self.access.token if token is None else token})
+        return ws
+
+    async def ask(self, ws, what, number=1, **details):
+        """Return the result of a request."""
+        await ws.send_json({'do': what, 'id': number, **details})
+        return await texts(ws, 'result')
+
+
+async def texts(ws, kind):
+    """Return the next text of a kind; fail where the connection ends before it."""
+    while True:
+        message = await ws.receive(20.0)
+        assert message.type in (aiohttp.WSMsgType.TEXT, aiohttp.WSMsgType.BINARY), message
+        if message.type is aiohttp.WSMsgType.TEXT:
+            found = json.loads(message.data)
+            if found['kind'] == kind:
+                return found
+
+
+async def ended(ws):
+    """Return the code a connection ends with."""
+    while True:
+        message = await ws.receive(20.0)
+        if message.type in (aiohttp.WSMsgType.CLOSE, aiohttp.WSMsgType.CLOSED,
+                            aiohttp.WSMsgType.CLOSING, aiohttp.WSMsgType.ERROR):
+            return ws.close_code
+
+
+@pytest.fixture
+def with_page():
+    """Return a function that runs ``test(page)`` with a server; keywords go to its `Access`."""
+    from dz_ros.live.server import Server
+
+    def run(test, **rules):
+        async def work():
+            source = Puppet()
+            access = Access(**rules)
+            server = Server(source, access)
+            await server.start()
+            page = Page(server, source, access)
+            try:
+                await asyncio.wait_for(test(page), 120.0)
+            finally:
+                await page.session.close()
+                await server.close()
+
+        asyncio.run(work())
+
+    run.texts, run.ended = texts, ended
+    return run

@@ -1,0 +1,104 @@
+"""Bounds and bands beside the rows, against the formulas written out and a simulated run."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.dataset import from_run
+from dz_ros.core.loop import simulate
+from dz_ros.live.columns import Layout
+from dz_ros.live.derived import Deriver
+from dz_ros.live.recorded import Recorded
+from dz_ros.live.stated import labels_of
+
+
+def completed(values, *stated, flat=None):
+    """Return name → column of rows given as name → numbers."""
+    layout = Layout(labels_of(Configuration.from_flat(flat or {})))
+    deriver = Deriver(layout)
+    for time, configuration in stated:
+        deriver.state(time, configuration)
+    count = len(next(iter(values.values())))
+    rows = np.full((count, layout.base), np.nan)
+    for name, column in values.items():
+        rows[:, layout.place(name)] = column
+    found = deriver.complete(rows)
+    return {name: found[:, place] for place, name in enumerate(layout.names)}
+
+
+def test_what_follows_from_a_configuration():
+    c = Configuration.from_flat({'controller.lambda': 2.0})
+    found = completed({'published': [1.0, 2.0], 'stamp': [0.0, 0.5], 'x0': [1.0, 2.0],
+                       'xd0': [0.5, 2.5], 's': [0.1, -0.2], 'phi': [0.5, 1.0],
+                       'w': [0.0, 0.0]}, (0.0, c))
+    epsilon = c.law.gains.epsilon
+    assert found['error'].tolist() == [0.5, -0.5]
+    assert found['s_over_epsilon'] == pytest.approx([0.1 / epsilon, -0.2 / epsilon])
+    assert found['omega'] == pytest.approx([epsilon / 2.0] * 2)     # 2^0 λ^(1−2) ε
+    b_r, m = c.controller_settings.b_r_bounds[1], c.controller_settings.m_bounds[1]
+    assert found['band_high'] == pytest.approx([m * b_r * 0.5, m * b_r])
+    assert found['band_low'] == pytest.approx([m * -0.7 * 0.5, m * -0.7])
+    assert found['zone_high'].tolist() == [0.5, 0.5]
+    assert found['zone_low'].tolist() == [-0.6, -0.6]
+
+
+def test_a_drifting_dead_zone_drifts():
+    c = Configuration.from_flat({'plant.dead_zone.b_r_drift': [0.1, 3.0]})
+    stamps = np.linspace(0.0, 4.0, 9)
+    found = completed({'published': stamps, 'stamp': stamps, 'w': 0.0 * stamps}, (0.0, c))
+    assert found['zone_high'] == pytest.approx([0.5 + 0.1 * math.sin(3.0 * t) for t in stamps])
+
+
+def test_a_change_holds_for_the_rows_published_after_it():
+    before = Configuration.from_flat({})
+    after = before.replace(**{'plant.dead_zone.b_r': 0.3})
+    times = np.arange(10.0)
+    found = completed({'published': times, 'stamp': times, 'w': 0.0 * times},
+                      (0.0, before), (4.5, after))
+    assert found['zone_high'].tolist() == [0.5] * 5 + [0.3] * 5
+
+
+def test_nothing_is_made_up_where_nothing_is_known():
+    found = completed({'published': [1.0], 'stamp': [0.0], 'x0': [1.0], 'xd0': [0.0]})
+    assert found['error'].tolist() == [1.0]
+    for name in ('omega', 's_over_epsilon', 'band_low', 'zone_high'):
+        assert np.isnan(found[name]).all(), name
+
+
+def test_intervals_are_between_neighbours_only():
+    layout = Layout(labels_of(Configuration.from_flat({})))
+    deriver = Deriver(layout)
+
+    def intervals(seq, published):
+        rows = np.full((len(seq), layout.base), np.nan)
+        rows[:, 0], rows[:, 2] = seq, published
+        return deriver.complete(rows)[:, layout.place('interval')]
+
+    assert np.isnan(intervals([0.0], [10.0])).all()
+    assert intervals([1.0, 2.0], [10.004, 10.01]) == pytest.approx([0.004, 0.006])
+    found = intervals([5.0, 6.0], [10.03, 10.035])
+    assert np.isnan(found[0])
+    assert found[1] == pytest.approx(0.005)
+
+
+@pytest.mark.parametrize('law', ['wang2004', 'robust', 'pd', 'adaptive_inverse', 'fuzzy'])
+def test_every_kind_of_law_can_be_shown(law):
+    run = from_run(simulate(Configuration.from_flat({
+        'controller.law': law, 'loop.duration': 1.0, 'controller.override_checks': True})),
+        10 ** 18)
+    recorded = Recorded({'run': run})
+    hello = recorded.hello()
+    table = recorded._tables[0]
+    names = [item['name'] for item in hello['columns']]
+    assert len(table) == hello['lengths'][0] == 201
+    v = table[:, names.index('v')]
+    parts = sum(table[:, names.index(name)] for name in (
+        'v_damping', 'v_feed_forward', 'v_regressor', 'v_robust', 'v_extra'))
+    assert v == pytest.approx(parts)
+    assert table[:, names.index('error')] == pytest.approx(
+        table[:, names.index('x0')] - table[:, names.index('xd0')])
+    inside = (table[:, names.index('v')] > table[:, names.index('zone_low')]) & (
+        v < table[:, names.index('zone_high')])
+    assert (table[inside, names.index('w')] == 0.0).all()

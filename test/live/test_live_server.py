@@ -1,0 +1,348 @@
+"""The page's server: what a viewer gets, who may act, and what hostile requests do to it."""
+
+import asyncio
+import contextlib
+import json
+import socket
+
+import numpy as np
+import pytest
+
+from dz_ros.errors import ConfigurationError, LoopError
+from dz_ros.live import connections as connections_module
+from dz_ros.live import server as server_module
+from dz_ros.live import viewer as viewer_module
+from dz_ros.live.access import Access
+from dz_ros.live.assets import ASSETS
+from dz_ros.live.history import HEAD, LIVE
+
+aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed: no page to serve')
+
+OTHER = 'http://evil.example'
+
+
+def test_a_viewer_is_introduced_and_gets_every_row(with_page):
+    async def test(page):
+        page.source.add(300)
+        ws = await page.viewer(seconds=1.0)
+        hello = await with_page.texts(ws, 'hello')
+        assert hello['may_act']
+        assert (await with_page.texts(ws, 'status'))['age'] == 0.0
+        page.source.add(50)
+        page.server.publish()
+        got = []
+        while len(got) < 150:       # a second at 100 Hz of the past, and what is new
+            message = await ws.receive(10.0)
+            kind, _, count, _, _ = HEAD.unpack_from(message.data)
+            rows = np.frombuffer(message.data, '<f8', offset=HEAD.size).reshape(count, 2)
+            assert kind == LIVE
+            got += rows[:, 0].tolist()
+        assert got == list(range(200, 350))
+        page.server.say({'kind': 'event', 'n': 1})
+        assert (await with_page.texts(ws, 'event'))['n'] == 1
+        await ws.close()
+
+    with_page(test)
+
+
+def test_actions_are_passed_on_and_answered(with_page):
+    async def test(page):
+        ws = await page.viewer()
+        assert (await page.ask(ws, 'estop', 3)) == {
+            'kind': 'result', 'id': 3, 'ok': True, 'message': 'stopped'}
+        assert page.source.stopped == ['127.0.0.1']
+        answer = await page.ask(ws, 'set', 4, values={'controller.k_d': 1.0})
+        assert answer['ok']
+        assert page.source.acted[0]['values'] == {'controller.k_d': 1.0}
+        refused = await page.ask(ws, 'kick', 5)
+        assert not refused['ok']
+        assert 'must be gentle' in refused['message']
+
+    with_page(test)
+
+
+def test_an_estop_does_not_wait_for_what_is_being_worked_on(with_page):
+    async def test(page):
+        ws = await page.viewer()
+        await ws.send_json({'do': 'reset', 'id': 1})
+        await ws.send_json({'do': 'estop', 'id': 2})
+        await ws.send_json({'do': 'reset', 'id': 3})
+        found = [await with_page.texts(ws, 'result') for _ in range(3)]
+        assert [item['id'] for item in found] == [2, 3, 1]
+        assert [item['ok'] for item in found] == [True, False, True]
+
+    with_page(test)
+
+
+@pytest.mark.parametrize('token', ['', 'x', 'é' * 30, 'a' * 5000])
+def test_without_the_token_one_may_look_and_not_act(with_page, token):
+    async def test(page):
+        ws = await page.viewer(token=token)
+        hello = await with_page.texts(ws, 'hello')
+        assert not hello['may_act']
+        for what in ('estop', 'reset', 'activate', 'deactivate', 'set', 'kick'):
+            answer = await page.ask(ws, what)
+            assert not answer['ok']
+            assert 'token' in answer['message']
+        assert page.source.stopped == page.source.acted == []
+
+    with_page(test)
+
+
+def test_read_only_means_nobody(with_page):
+    async def test(page):
+        assert page.access.token not in page.access.address(page.port)
+        ws = await page.viewer()
+        answer = await page.ask(ws, 'estop')
+        assert not answer['ok']
+        assert 'read_only' in answer['message']
+        assert page.source.stopped == []
+
+    with_page(test, read_only=True)
+
+
+def test_from_elsewhere_even_looking_needs_the_token(with_page):
+    async def test(page):
+        assert page.access.token in page.access.address(page.port)
+        ws = await page.viewer(token='wrong')
+        assert await with_page.ended(ws) == 4401
+        ws = await page.viewer()
+        assert (await with_page.texts(ws, 'hello'))['may_act']
+
+    with_page(test, host='0.0.0.0')
+
+
+@pytest.mark.parametrize('headers', [
+    {'Origin': OTHER}, {'Origin': 'null'}, {'Origin': ''}, {'Origin': 'https://127.0.0.1:{port}'},
+    {'Origin': 'http://127.0.0.1'}, {'Origin': 'http://127.0.0.1:{port}.evil.example'},
+    {'Origin': 'http://localhost:{port}'},      # right machine, but not the page's own origin
+    {'Origin': 'http://evil.example', 'Host': 'evil.example'},
+])
+def test_a_page_of_somebody_else_gets_no_socket(with_page, headers):
+    async def test(page):
+        filled = {name: value.format(port=page.port) for name, value in headers.items()}
+        with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
+            await page.session.ws_connect(page.base + '/ws', headers=filled)
+        assert caught.value.status in (403, 421)
+        assert not page.server.viewers
+
+    with_page(test)
+
+
+def test_no_origin_no_socket(with_page):
+    async def test(page):
+        with pytest.raises(aiohttp.WSServerHandshakeError):
+            await page.session.ws_connect(page.base + '/ws')
+
+    with_page(test)
+
+
+@pytest.mark.parametrize('host', ['evil.example', 'evil.example:{port}', '127.0.0.1', '',
+                                  '127.0.0.1:99999', '127.0.0.1:{port}x', '[::1', '127.0.0.1:²'])
+def test_a_name_that_was_made_to_mean_this_machine_gets_nothing(with_page, host):
+    async def test(page):
+        name = host.format(port=page.port)
+        async with page.session.get(page.base + '/', headers={'Host': name}) as answer:
+            assert answer.status in (400, 421)
+            assert b'<html' not in await answer.read()
+
+    with_page(test)
+
+
+def test_the_page_s_files_are_served_and_nothing_else(with_page):
+    async def test(page):
+        for path in ASSETS:
+            async with page.session.get(page.base + path) as answer:
+                assert answer.status == 200, path
+                assert answer.headers['X-Content-Type-Options'] == 'nosniff'
+                assert answer.headers['Cache-Control'] == 'no-store'
+                policy = answer.headers['Content-Security-Policy']
+                assert "default-src 'none'" in policy
+                assert "script-src 'self';" in policy
+                assert 'unsafe' not in policy
+                assert len(await answer.read()) > 100 or path.endswith('.css')
+        for path in ('/server.py', '/../server.py', '/%2e%2e/server.py', '/vendor/', '/x',
+                     '//etc/passwd', '/style.css/..'):
+            async with page.session.get(aiohttp.client.URL(page.base + path, encoded=True)) as got:
+                assert got.status == 404, path
+        for method in ('POST', 'PUT', 'DELETE', 'OPTIONS', 'PATCH'):
+            async with page.session.request(method, page.base + '/') as answer:
+                assert answer.status == 405
+
+    with_page(test)
+
+
+NONSENSE = ['', 'x', '[]', '1', 'null', '"estop"', '{', '{}', '{"do": "estop"}',
+            '{"do": "estop", "id": true}', '{"do": "estop", "id": -1}', '{"do": 7, "id": 1}',
+            '{"do": "estop", "id": 1e99}', '{"do": "exec", "id": 1}', '{"id": 1, "do": NaN}',
+            '{"do": "estop", "id": 99999999999999999999}', '[' * 9000, '{"a":' * 2000,
+            '{"hello": 1}', b'\x00\x01', b'']
+
+
+@pytest.mark.parametrize('nonsense', NONSENSE, ids=range(len(NONSENSE)))
+def test_nonsense_ends_that_connection_alone(with_page, nonsense):
+    async def test(page):
+        good = await page.viewer()
+        await with_page.texts(good, 'hello')
+        bad = await page.viewer()
+        await with_page.texts(bad, 'hello')
+        if isinstance(nonsense, bytes):
+            await bad.send_bytes(nonsense)
+        else:
+            await bad.send_str(nonsense)
+        assert await with_page.ended(bad) == 1008
+        assert page.source.stopped == page.source.acted == []
+        assert (await page.ask(good, 'estop'))['ok']
+
+    with_page(test)
+
+
+@pytest.mark.parametrize('first', ['x', '{}', '{"hello": 1, "seconds": "x"}', '[1]',
+                                   '{"hello": 1, "seconds": 1e400}',
+                                   '{"hello": 1, "seconds": -1}'])
+def test_who_does_not_say_hello_is_shown_out(with_page, first):
+    async def test(page):
+        ws = await page.viewer(hello=False)
+        await ws.send_str(first)
+        assert await with_page.ended(ws) == 1008
+        assert not page.server.viewers
+
+    with_page(test)
+
+
+def test_a_text_that_is_too_long_ends_its_connection(with_page):
+    async def test(page):
+        ws = await page.viewer()
+        await with_page.texts(ws, 'hello')
+        await ws.send_str(json.dumps({'do': 'set', 'id': 1, 'values': {
+            'x': 'y' * server_module.MESSAGE}}))
+        assert await with_page.ended(ws) == 1009
+        assert page.source.acted == []
+
+    with_page(test)
+
+
+def test_too_many_requests_end_their_connection(with_page):
+    async def test(page):
+        ws = await page.viewer()
+        await with_page.texts(ws, 'hello')
+        for number in range(int(2 * viewer_module.BURST)):
+            await ws.send_json({'do': 'rows', 'id': number})
+        assert await with_page.ended(ws) == 1008
+
+    with_page(test)
+
+
+def test_there_is_an_end_to_viewers(with_page, monkeypatch):
+    monkeypatch.setattr(server_module, 'MOST_VIEWERS', 2)
+
+    async def test(page):
+        kept = [await page.viewer() for _ in range(2)]
+        for ws in kept:
+            await with_page.texts(ws, 'hello')
+        with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
+            await page.viewer()
+        assert caught.value.status == 503
+        await kept[0].close()
+        while len(page.server.viewers) > 1:
+            await asyncio.sleep(0.01)
+        await with_page.texts(await page.viewer(), 'hello')
+
+    with_page(test)
+
+
+def test_there_is_an_end_to_connections_and_to_silence(with_page, monkeypatch):
+    monkeypatch.setattr(connections_module, 'MOST', 3)
+    monkeypatch.setattr(connections_module, 'SILENT', 0.3)
+
+    async def test(page):
+        silent = [await asyncio.open_connection('127.0.0.1', page.port) for _ in range(3)]
+        silent[0][1].write(b'GET / HTTP/1.1\r\nHost: 127.0.0.1')       # and never the rest
+        while page.server._connections is None or len(page.server._runner.server.connections) < 3:
+            await asyncio.sleep(0.01)
+        reader, writer = await asyncio.open_connection('127.0.0.1', page.port)
+        with contextlib.suppress(ConnectionError):      # the fourth is cut off at once
+            writer.write(b'GET / HTTP/1.1\r\n\r\n')
+            await writer.drain()
+            assert await reader.read() == b''
+        for reader, _ in silent:        # the silent ones are cut off a little later
+            with contextlib.suppress(ConnectionError):
+                assert await asyncio.wait_for(reader.read(), 20.0) == b''
+        async with page.session.get(page.base + '/') as answer:
+            assert answer.status == 200
+
+    with_page(test)
+
+
+def test_a_viewer_that_stops_reading_is_dropped_and_nothing_waits_for_it(with_page, monkeypatch):
+    monkeypatch.setattr(viewer_module, 'STALLED', 0.5)
+
+    async def test(page):
+        page.source.history = type(page.source.history)(400, 20000)
+        good = await page.viewer()
+        await with_page.texts(good, 'hello')
+        # A socket of our own with a small buffer that nobody empties.
+        raw = socket.socket()
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        raw.connect(('127.0.0.1', page.port))
+        raw.setblocking(False)
+        loop = asyncio.get_running_loop()
+        host = f'127.0.0.1:{page.port}'
+        await loop.sock_sendall(raw, (
+            f'GET /ws HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nUpgrade: websocket\r\n'
+            'Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n'
+            'Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n').encode())
+        assert b'101' in await loop.sock_recv(raw, 300)
+        text = b'{"hello":1,"seconds":0}'
+        await loop.sock_sendall(raw, bytes([0x81, 0x80 | len(text), 0, 0, 0, 0]) + text)
+        while len(page.server.viewers) < 2:
+            await asyncio.sleep(0.01)
+
+        async def read():
+            async for _ in good:
+                pass
+
+        reading = asyncio.create_task(read())
+        while len(page.server.viewers) > 1:
+            page.source.history.append(np.zeros((2000, 400)))       # 6 MB a time
+            page.server.publish()
+            await asyncio.sleep(0.05)
+        assert not reading.done()
+        (left,) = page.server.viewers
+        assert left.cursor is not None
+        reading.cancel()
+        raw.close()
+
+    with_page(test)
+
+
+def test_a_second_page_takes_the_next_port_and_a_taken_one_is_one_line(with_page):
+    async def test(page):
+        from dz_ros.live.server import Server
+        other = Server(page.source, Access())
+        await other.start()
+        assert other.port != page.port
+        with pytest.raises(LoopError, match=f'port {page.port}.*choose another'):
+            await Server(page.source, Access()).start(page.port)
+        await other.close()
+
+    with_page(test)
+
+
+@pytest.mark.parametrize('host', ['', 'no.such.host.invalid', '300.1.1.1', 'a b', '\0'])
+def test_an_address_that_is_none(host):
+    with pytest.raises(ConfigurationError, match='must be an address'):
+        Access(host)
+
+
+def test_tokens_differ_and_are_compared_whole():
+    one, other = Access(), Access()
+    assert one.token != other.token
+    assert len(one.token) >= 32
+    assert one.knows(one.token)
+    for wrong in (other.token, one.token[:-1], one.token + 'x', None, 7, ''):
+        assert not one.knows(wrong)
+    assert Access('::1').address(80).startswith('http://[::1]:80/#')
+    assert Access('localhost').local
+    assert not Access('0.0.0.0').local
+    assert Access(actions=False).address(80) == 'http://127.0.0.1:80/'
