@@ -1,4 +1,4 @@
-"""Fixtures of the tests of nodes."""
+"""Fixtures of the tests of nodes: a recorded run, a node that hears a loop."""
 
 from dataclasses import replace
 import json
@@ -100,5 +100,33 @@ class Operator:
 @pytest.fixture
 def operator(ros_domain):
     made = Operator()
+    yield made
+    made.close()
+
+
+class Watcher(Operator):
+    """An operator of a loop around `actuator_node`, which may fall into fault."""
+
+    @property
+    def states(self):
+        return [message.data for message in self.heard['state']]
+
+    def running(self, samples=50):
+        self.wait_for_mode(actuator_node='running', controller_node='running')
+        heard = len(self.heard['state'])
+        self.wait(lambda: len(self.heard['state']) > heard + samples)
+
+    def recovered(self):
+        """Reset what is in fault, the actuator first; return whether that was accepted."""
+        return all(self.call(f'{name}/reset').success
+                   for name in ('actuator_node', 'controller_node')
+                   if self.modes()[name][0] == 'fault')
+
+
+@pytest.fixture
+def watcher(ros_domain):
+    """A node that hears the loop of this test's domain."""
+    pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+    made = Watcher()
     yield made
     made.close()
