@@ -14,6 +14,10 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 #define DZ_VERSION 1
 #define DZ_MAX_VALUES 4
 #define DZ_MAX_BODY 60                      /* longest body of a frame */
@@ -72,5 +76,9 @@ uint32_t dz_crc32(const uint8_t *data, size_t size);
 size_t dz_cobs_encode(const uint8_t *data, size_t size, uint8_t *line);
 /* Return the length of the data, or SIZE_MAX where the line is not COBS. In place is allowed. */
 size_t dz_cobs_decode(const uint8_t *line, size_t size, uint8_t *data);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -164,6 +164,22 @@ def test_trouble_lasts_until_the_operator_resets(device, driver, fault, words):
     assert found.measure() is not None
 
 
+def test_it_can_be_closed_and_opened_again_and_what_happened_between_is_forgotten(device, driver):
+    device()
+    found = driver()
+    until(lambda: mode(found) is Mode.RUN, found, 1.0)
+    found.disable()
+    found._link.broken = 'the line has gone'    # while nobody looked
+    found.enable()
+    assert found.trouble() == ''
+    found.disable()
+    found.close()
+    assert found.measure() is None
+    found.open()
+    found.enable()
+    until(lambda: mode(found) is Mode.RUN, found, 1.0)
+
+
 def test_a_device_that_hears_nothing_goes_to_the_safe_command(device, driver):
     process = device('deaf@0.2+0.4')
     found = driver(watchdog=0.05)
@@ -336,7 +352,7 @@ def test_nobody_waits_for_a_line_that_takes_nothing(fake):
     port = fake()
     driver = make(port.port)
     driver._link._connect()
-    driver._powered, driver._command_scale, driver._scales = True, 1.0, (1.0, 1.0)
+    driver._powered = True
     writer = threading.Thread(target=driver._link._write, daemon=True)
     writer.start()
     # Each write that does not fit takes 0.1 s of the writer: a caller that waited for it would

@@ -100,6 +100,8 @@ class Link:
         except ImportError:
             raise MissingDependencyError("driver.name = 'serial' needs pyserial: pip install "
                                          "'dz_ros[serial]'") from None
+        self._closing, self.info, self.broken, self._problem = False, None, '', ''
+        self._state, self._wish, self._session = None, None, 0
         self._connect()
         self._threads = [threading.Thread(target=work, name=f'{self.port} {work.__name__}',
                                           daemon=True) for work in (self._read, self._write)]
@@ -267,7 +269,7 @@ class Link:
 
     def _disconnect(self, reason: str) -> None:
         with self._news:
-            port, self._serial = self._serial, None
+            port, self._serial, self._state = self._serial, None, None
             if not self._closing:
                 self._break(reason)
         if port is not None:
