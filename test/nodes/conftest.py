@@ -12,6 +12,10 @@ from dz_ros.core.loop import simulate
 from dz_ros.recording.save import save_run
 
 TIME_OUT = 60.0
+PATIENT = ('-p', 'loop.duration:=0.0', '-p', 'safety.state_hold:=200', '-p',
+           'safety.command_hold:=100', '-p', 'safety.echo_limit:=200', '-p',
+           'safety.fault_after:=2000', '-p', 'driver.fresh:=100.0')
+"""A machine that others use as well stalls for longer than the defaults allow."""
 
 
 @pytest.fixture(scope='module')
@@ -106,6 +110,8 @@ def operator(ros_domain):
 
 class Watcher(Operator):
     """An operator of a loop around `actuator_node`, which may fall into fault."""
+
+    patient = PATIENT
 
     @property
     def states(self):
