@@ -68,15 +68,22 @@ def loop(duration: float, record: bool) -> float:
 
 
 def echo(count: int, whole: bool) -> float:
-    """Return round trips per second of a bare echo, of all messages or of two."""
+    """Return round trips per second of a bare echo, of all messages or of two.
+
+    Both sides are processes of their own: a second life of rclpy in one process is slower.
+    """
     size = len(FORTH) if whole else 1
-    answering = subprocess.Popen([sys.executable, __file__, '--answer', str(size)], cwd=ROOT)
+    side = [sys.executable, __file__, '--side', str(size)]
+    answering = subprocess.Popen(side, cwd=ROOT)
     try:
-        with Side(list(FORTH.items())[:size], list(BACK)[:size]) as side:
-            return side.ask(count)
+        done = subprocess.run([*side, '--count', str(count)], cwd=ROOT, capture_output=True,
+                              text=True, check=False, timeout=2.0 * TIME_OUT)
     finally:
         answering.terminate()
         answering.wait(TIME_OUT)
+    if done.returncode:
+        sys.exit(done.stderr)
+    return float(done.stdout)
 
 
 class Side:
@@ -161,10 +168,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
     parser.add_argument('--repetitions', type=int, default=5)
     parser.add_argument('--duration', type=float, default=15.0, help='of a run [s of loop time]')
-    parser.add_argument('--answer', type=int, default=0, help=argparse.SUPPRESS)
+    parser.add_argument('--side', type=int, default=0, help=argparse.SUPPRESS)
+    parser.add_argument('--count', type=int, default=0, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.answer:
-        with Side(list(BACK.items())[:arguments.answer], list(FORTH)[:arguments.answer]) as side:
+    if arguments.side:
+        size = arguments.side
+        if arguments.count:
+            with Side(list(FORTH.items())[:size], list(BACK)[:size]) as side:
+                print(side.ask(arguments.count))
+            return 0
+        with Side(list(BACK.items())[:size], list(FORTH)[:size]) as side:
             side.answer()
         return 0
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')

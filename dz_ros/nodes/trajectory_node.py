@@ -10,6 +10,7 @@ after those.
 from __future__ import annotations
 
 import sys
+import time
 
 from dz_ros.core.records import Reference, State
 from dz_ros.core.safety.guards import SequenceGuard, Verdict
@@ -20,6 +21,8 @@ CATCH_UP = 100
 """References of states that never came here are sent late, up to so many, to leave no gap."""
 AHEAD = 100
 """References sent ahead in lockstep, at least half as many."""
+LET_COLLECT = 0.005
+"""In lockstep, with references sent ahead, states are let collect for so long [s]."""
 LAST = 1e9
 """Stamps beyond this are none [s]."""
 
@@ -66,7 +69,15 @@ class TrajectoryNode(ManagedNode):
         if not self._listening:
             self._listening = True
             self.take('state', State.labels(self._order), self._on_state)
-        return super().work()
+        if not self.lockstep:
+            return super().work()
+        while not self.halted:      # waking up costs more than answering; the loop needs the time
+            self.spin()
+            time.sleep(LET_COLLECT)
+            for _ in range(AHEAD):
+                self.spin(0.0)
+            self.diagnosing.look()
+        return False
 
     def _on_state(self, numbers: tuple[float, ...]) -> None:
         """Send what is wanted by a state, and what was not sent before."""
