@@ -182,7 +182,7 @@ class Joint(Driver):
             return
         place = names.index(p.joint)
         wanted = (('position', message.position), ('velocity', message.velocity))[:self.measured]
-        x = []
+        x: list[float] = []
         for kind, values in wanted:
             if len(values) <= place:
                 hint = ': set driver.measured to 1 to have it observed' if x else ''

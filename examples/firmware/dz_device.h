@@ -1,7 +1,7 @@
 /* The device's side of dz_ros' serial protocol, version 1, for a microcontroller.
  *
  * Portable C99: fixed-width integers, 8-bit bytes, no allocation, no clock, no global; any byte
- * order and alignment. docs/drivers.md says what travels; dz_ros/drivers/serial/device.py is the
+ * order and alignment. docs/serial.md says what travels; dz_ros/drivers/serial/device.py is the
  * same machine in Python. Hardware is reached through the four functions of struct dz_hardware.
  *
  *     static struct dz_device device;

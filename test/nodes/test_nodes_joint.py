@@ -247,7 +247,7 @@ def test_commands_of_an_inactive_controller_do_nothing_and_are_forgotten(
 @pytest.mark.ros
 def test_a_dead_process_leaves_the_last_command_in_the_controller(
         processes, watcher, robot):
-    # What docs/drivers.md warns of, and why the hardware needs a watchdog.
+    # What docs/ros2_control.md warns of, and why the hardware needs a watchdog.
     nodes = start(processes, watcher, robot)
     watcher.running()
     watcher.wait(lambda: robot.held != 0.0)

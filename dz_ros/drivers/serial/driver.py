@@ -76,7 +76,7 @@ class Serial(Driver):
     """A microcontroller on a serial line."""
 
     name = 'serial'
-    summary = 'a microcontroller on a serial line (extra serial); docs/drivers.md has the protocol'
+    summary = 'a microcontroller on a serial line (extra serial); docs/serial.md has the protocol'
     order = 0
     Parameters = SerialParameters
 

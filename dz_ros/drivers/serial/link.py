@@ -166,8 +166,8 @@ class Link:
                     continue
             try:
                 data = self._serial.read(max(1, self._serial.in_waiting))
-            except (OSError, TypeError, ValueError) as error:   # pyserial's are OSErrors
-                self._disconnect(f'the line has gone ({_one_line(error)})')
+            except (OSError, TypeError, ValueError):    # pyserial's are OSErrors
+                self._disconnect('the line has gone')
                 continue
             for body in self._receiver.feed(data):
                 self._hear(body)

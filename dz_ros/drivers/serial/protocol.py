@@ -15,7 +15,7 @@
 - **Units**: commands and values are integers, in counts; INFO says how much a count is. No NaN
   can travel.
 
-`docs/drivers.md` has the bytes in a table; `examples/firmware` the same in C.
+`docs/serial.md` has the bytes in a table; `examples/firmware` the same in C.
 """
 
 from __future__ import annotations
