@@ -54,6 +54,8 @@ VERBS = {
     ('bag', 'audit'): Verb('bag_audit', 'recompute a run and compare it bit for bit'),
     ('bag', 'compare'): Verb('bag_compare', 'lay runs side by side: metrics and figures'),
     ('bag', 'whatif'): Verb('bag_whatif', 'run a recorded loop again with something changed'),
+    ('driver', 'list'): Verb('driver_list', 'list the drivers, and why one cannot load'),
+    ('driver', 'check'): Verb('driver_check', 'hold a driver to its contract, check by check'),
 }
 """Words → verb; two words are a noun and its verb, as ``ros2`` groups its own."""
 

@@ -6,6 +6,7 @@ disturbance; the set Ω_ε in the units of each state; how far the sampled loop 
 the guarantee does not cover.
 
     k* ≥ ρ/m_min + Δ/(b_min m_min) + ρ_I      (18), with disturbance |·| ≤ Δ and an integral's ρ_I
+    ω against K, and its noise against ε      (dz_ros.core.observation), where a driver observes
     (K + Λ_v,n φ̂) b m T < μ_d                 no chatter (dz_ros.core.boundary_layer)
     |x̃_i| ≤ 2^(i−1) λ^(i−n) ε                 Ω_ε (dz_ros.core.tracking)
 
@@ -24,6 +25,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.deadzone import rho
 from dz_ros.core.finding import ERROR, Finding, INFO, WARNING
 from dz_ros.core.laws.base import Design
+from dz_ros.core.observation import check_observer
 from dz_ros.core.tracking import guaranteed_bounds
 
 DELAYS = (0, 1, 2)
@@ -76,6 +78,7 @@ def check(configuration: Configuration, disturbance: float | None = None,
         disturbance = disturbance_along_reference(c)
     findings += [*check_projection(c, design), *_robust_gain(c, design, disturbance),
                  *_target(c, design), *_chatter(c, design),
+                 *check_observer(c, c.make_driver().measured),
                  *_stability(design, stability_limit), *_uncovered(c, design)]
     return tuple(findings)
 

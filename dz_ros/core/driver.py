@@ -56,7 +56,8 @@ class Driver(ABC):
         name: Name in configurations.
         summary: One line for lists.
         order: Order n of the loop it can close; 0 = any.
-        lockstep: Whether it can run without a wall clock; a real device cannot.
+        lockstep: Whether it is simulated, so that it can run without a wall clock.
+        requires: Modules of optional packages that `open` imports.
         Parameters: Frozen dataclass of `dz_ros.core.schema.parameter` fields.
     """
 
@@ -64,6 +65,7 @@ class Driver(ABC):
     summary: ClassVar[str]
     order: ClassVar[int]
     lockstep: ClassVar[bool] = False
+    requires: ClassVar[tuple[str, ...]] = ()
     Parameters: ClassVar[type]
 
     def __init__(self, parameters: Any, configuration: Configuration) -> None:
@@ -157,6 +159,13 @@ class Driver(ABC):
         Raises:
             DriverError: It lasts.
         """
+
+    def in_force(self) -> float | None:
+        """Return the command the device holds now [command unit], None where it does not tell.
+
+        Asked by the conformance kit alone, which cannot see otherwise what reached the device.
+        """
+        return None
 
     def report(self, report: Report) -> None:
         """Add what the driver knows to the diagnostics, once a second."""

@@ -41,6 +41,7 @@ class HostedDriver:
 
     Attributes:
         driver: The driver itself.
+        enabled: Whether it takes commands.
         observing: Whether its velocity is observed.
         commands: Commands given since the start.
         saturated: Those beyond its limit.
@@ -70,7 +71,7 @@ class HostedDriver:
         self._measured_at: float | None = None
         self._missing = 0
         self._failure = ''
-        self._opened = self._enabled = False
+        self._opened = self.enabled = False
         self._window = (0, 0)
 
     # Its life.
@@ -99,22 +100,22 @@ class HostedDriver:
         """
         self._missing, self._failure, self._measured_at = 0, '', None
         self._observer.restart()
-        self._enabled = True
+        self.enabled = True
         try:
             _checked('enable', self.driver.enable)
         except DzRosError:
             self._attempt('disable', self.driver.disable)
-            self._enabled = False
+            self.enabled = False
             raise
 
     def disable(self, v: float, t: float) -> str:
         """Send the safe command and disable it; return what went wrong."""
-        if not self._enabled:
+        if not self.enabled:
             return ''
         self._failure = ''
         self.safe(v, t)
         self._attempt('disable', self.driver.disable)
-        self._enabled = False
+        self.enabled = False
         return self._failure
 
     def close(self) -> str:
@@ -147,7 +148,7 @@ class HostedDriver:
 
     def safe(self, v: float, t: float) -> None:
         """Have it go to its safe state; nothing where it is not enabled."""
-        if self._enabled:
+        if self.enabled:
             self._attempt('safe', lambda: self.driver.safe(self._clipped(v), t))
 
     def advance(self, t: float, seq: int) -> Truth | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 import math
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -48,7 +48,7 @@ class SimulatedActuator(Driver):
     summary = 'the configured plant behind its dead-zone, without any hardware'
     order = 0
     lockstep = True
-    Parameters = SimulatedParameters
+    Parameters: ClassVar[type] = SimulatedParameters
 
     def __init__(self, parameters: Any, configuration: Configuration) -> None:
         super().__init__(parameters, configuration)
@@ -74,6 +74,10 @@ class SimulatedActuator(Driver):
     def limit(self) -> float:
         """Largest |v| the actuator takes [actuator unit]."""
         return self._limit or math.inf
+
+    def in_force(self) -> float:
+        """Return the newest command that has arrived, clipped [actuator unit]."""
+        return self._pending[-1][1] if self._pending else self.held
 
     def configure(self, configuration: Configuration) -> None:
         """Give plant and dead-zone other parameters, or a kick, from now on; same structure."""

@@ -12,6 +12,8 @@ from __future__ import annotations
 import math
 import time
 
+from dz_ros.core.finding import INFO
+from dz_ros.core.observation import check_observer
 from dz_ros.core.records import Command, Reference, State, Truth
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
 from dz_ros.core.safety.health import Pace, percentiles, Rejections, Report, say_state
@@ -51,6 +53,7 @@ class Hosting(GuardedNode):
         self._rejections = Rejections()
         self._round_trips: list[float] = []
         self._skipped = 0
+        self._check_observer()
         self.watch_parameters()
 
     @property
@@ -114,6 +117,7 @@ class Hosting(GuardedNode):
         """Use other limits, another dead-zone, other parameters of the driver from now on."""
         self._guard.configure(self.configuration.safety)
         self._hosted.configure(self.configuration)
+        self._check_observer()
         self.announce(*self._owns, seq=self._seq)
 
     def stop_now(self, pressed: bool, reason: str) -> None:
@@ -235,6 +239,13 @@ class Hosting(GuardedNode):
         """Hear where the reference goes, for the observer."""
         if all(map(math.isfinite, numbers)):
             self._hosted.reference(Reference.from_numbers(numbers))
+
+    def _check_observer(self) -> None:
+        """Log what the design rule says of an observed velocity, where it warns."""
+        for finding in check_observer(self.configuration, self._hosted.driver.measured):
+            if finding.level != INFO:
+                self.get_logger().warning(f'design rule {finding.rule}: {finding.words}; '
+                                          f'{finding.change}')
 
     def _complain(self, trouble: str) -> None:
         """Say what went wrong in letting go of the device."""

@@ -23,7 +23,7 @@ NODES = {'plant_node': 'PlantNode', 'actuator_node': 'ActuatorNode',
          'controller_node': 'ControllerNode',
          'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode',
          'replay_node': 'ReplayNode', 'feed_node': 'FeedNode',
-         'operator_node': 'OperatorNode', 'live_node': 'LiveNode'}
+         'operator_node': 'OperatorNode', 'check_node': 'CheckNode', 'live_node': 'LiveNode'}
 """Executable → class in the module of the same name."""
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 """Environment variables that name a file of profiles for Fast DDS."""

@@ -1,0 +1,72 @@
+"""``dz driver list``: what is installed, its order and units, and why one cannot load."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from importlib.util import find_spec
+import json
+from typing import Any
+
+from dz_ros.core.driver import Driver, DRIVERS
+from dz_ros.errors import DzRosError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument('--json', action='store_true', help='as JSON, parameters included')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print two lines for each driver; return 0."""
+    rows = [describe(name, found) for name, found in DRIVERS.all().items()]
+    if arguments.json:
+        print(json.dumps(rows, ensure_ascii=False, indent=2))
+        return 0
+    width = max(len(row['name']) for row in rows)
+    for row in rows:
+        print(f'{row["name"]:<{width}}  {row["summary"] or "(not usable)"}')
+        for line in _details(row):
+            print(f'{"":<{width}}  {line}')
+    return 0
+
+
+def describe(name: str, found: Any) -> dict[str, Any]:
+    """Return what is known of a driver, with what keeps it from loading."""
+    row: dict[str, Any] = {'name': name, 'summary': '', 'order': None, 'units': '', 'from': '',
+                           'simulated': None, 'missing': [], 'error': '', 'parameters': []}
+    if isinstance(found, DzRosError):
+        row['error'] = str(found)
+        return row
+    from dz_ros.core import schema
+    own = found.state_units is not Driver.state_units or (
+        found.command_unit is not Driver.command_unit)
+    row |= {
+        'summary': found.summary, 'order': found.order,
+        'units': 'of its own' if own else "the plant's",
+        'from': f'{found.__module__}:{found.__name__}', 'simulated': found.lockstep,
+        'missing': [module for module in found.requires if not _there(module)],
+        'parameters': [f'driver.{item.name}' for item in schema.fields(found.Parameters)]}
+    return row
+
+
+def _details(row: dict[str, Any]) -> Iterator[str]:
+    """Yield what is said below a driver's name."""
+    if row['error']:
+        yield row['error']
+        return
+    order = 'any order' if row['order'] == 0 else f'order {row["order"]}'
+    kind = ', simulated' if row['simulated'] else ''
+    yield f'{order}, units {row["units"]}{kind}; {row["from"]}'
+    if row['parameters']:
+        yield ' '.join(row['parameters'])
+    if row['missing']:
+        yield f'cannot be opened here: {", ".join(row["missing"])} is not installed'
+
+
+def _there(module: str) -> bool:
+    """Return whether a module is installed."""
+    try:
+        return find_spec(module) is not None
+    except (ImportError, ValueError):
+        return False

@@ -1,0 +1,161 @@
+"""What the conformance kit hears of a driver's node: states, and what else it may publish."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+import json
+import math
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64MultiArray, String
+
+from dz_ros.core.records import Command, State, Truth
+from dz_ros.errors import MessageError
+from dz_ros.nodes import topics
+from dz_ros.recording.cdr import ArrayCodec
+
+EVERY = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
+"""Hears publishers of either reliability."""
+KEPT = QoSProfile(depth=200, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+SAFE_MODES = ('lost', 'fault', 'estop', 'waiting')
+"""Modes in which a host of ours holds the safe command."""
+NOT_LIMITED = ('held back by a limit', 'saturated by the device [commands]')
+"""Values of the diagnostics that count limited commands."""
+
+
+class Evidence:
+    """Hears and keeps; sends commands.
+
+    Args:
+        node: Of the kit.
+        answer: Called with seq and stamp of each new state.
+
+    Attributes:
+        states: Every state heard.
+        arrivals: When each arrived, by the steady clock [s].
+        commands: seq → stamp of every command sent.
+        wrong_labels: Labels of states that are not those of the order; '' = none.
+        tells: Whether events or truth of the node say what the actuator does.
+    """
+
+    def __init__(self, node: Any, answer: Callable[[int, float], None]) -> None:
+        self.states: list[State] = []
+        self.arrivals: list[float] = []
+        self.commands: dict[int, float] = {}
+        self.wrong_labels = ''
+        self.tells = False
+        self._node: Node = node
+        self._answer = answer
+        self._decode = ArrayCodec(State.labels(node.configuration.plant.order)).decode
+        self._truth = ArrayCodec(Truth.labels()).decode
+        self._held: list[tuple[float, float]] = []
+        self._since = (0, 0, 0.0)
+        self._safe_at: int | None = None
+        self._held_back: int | None = None
+        self.connect()
+        for topic, callback, qos in (('state', self._on_state, EVERY),
+                                     ('truth', self._on_truth, EVERY)):
+            node.create_subscription(Float64MultiArray, topic, callback, qos, raw=True)
+        node.create_subscription(String, 'events', self._on_event, KEPT)
+        node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
+
+    def connect(self) -> None:
+        """Offer commands."""
+        offer: Any = self._node
+        self.commands.clear()
+        self._send = offer.offer('command', Command.labels())
+
+    def disconnect(self) -> None:
+        """Take the offer back."""
+        withdrawing: Any = self._node
+        withdrawing.withdraw()
+
+    def begin(self) -> None:
+        """Forget what was heard so far but the newest state."""
+        del self.states[:-1]
+        del self.arrivals[:-1]
+
+    def note(self, _what: str) -> None:
+        """Note the instant from which `safe_after` looks."""
+        self._since = (len(self.states), len(self._held),
+                       self.states[-1].stamp if self.states else 0.0)
+        self._safe_at = None
+
+    def command(self, command: Command) -> None:
+        """Send a good command."""
+        self.commands[command.seq] = command.stamp
+        self._send(command.numbers())
+
+    def send(self, labels: Sequence[str], numbers: Sequence[float]) -> None:
+        """Send whatever it is, on a publisher of its own."""
+        publisher = self._node.create_publisher(
+            Float64MultiArray, 'command', topics.offered('command'))
+        while not publisher.get_subscription_count():
+            spin: Any = self._node
+            spin.spin()
+        publisher.publish(ArrayCodec(tuple(labels)).encode(numbers))
+        self._node.destroy_publisher(publisher)
+
+    def safe_after(self, safe: float) -> int | None:
+        """Return after how many samples the actuator held the safe command; None = not seen."""
+        first, held, stamp = self._since
+        for when, v in self._held[held:]:
+            if when >= stamp and math.isclose(v, safe, abs_tol=1e-9):
+                return sum(stamp < item.stamp <= when for item in self.states[first:])
+        return None if self._safe_at is None else self._safe_at - first
+
+    def largest_held(self) -> float | None:
+        """Return the largest |v| the actuator held lately; None where nothing tells."""
+        return max((abs(v) for _, v in self._held[-100:]), default=None)
+
+    def held_back(self) -> int | None:
+        """Return how many commands the node says it limited; None where it does not say."""
+        return self._held_back
+
+    def _on_state(self, payload: bytes) -> None:
+        try:
+            numbers = self._decode(payload)
+        except MessageError as error:
+            self.wrong_labels = self.wrong_labels or ','.join(error.got) or str(error)
+            return
+        try:
+            state = State.from_numbers(numbers)
+        except (ValueError, OverflowError):     # seq is no number
+            self.wrong_labels = self.wrong_labels or f'seq = {numbers[0]}'
+            return
+        self.states.append(state)
+        self.arrivals.append(time.monotonic())
+        self._answer(state.seq, state.stamp)
+
+    def _on_truth(self, payload: bytes) -> None:
+        """Take w and d of a simulated actuator: with slope m, w − d = m v."""
+        try:
+            numbers = self._truth(payload)
+        except MessageError:
+            return
+        self.tells = True
+        zone = self._node.configuration.dead_zone
+        product = numbers[2] - numbers[3]
+        self._held.append((numbers[1], product / (zone.m_r if product > 0.0 else zone.m_l)))
+
+    def _on_event(self, message: Any) -> None:
+        try:
+            event = json.loads(message.data)
+            mode = event['mode'] if event['event'] == 'mode' else ''
+        except (ValueError, TypeError, KeyError):
+            return
+        if mode:
+            self.tells = True
+        if mode in SAFE_MODES and self._safe_at is None:
+            self._safe_at = len(self.states)
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            found = [int(item.value) for item in status.values
+                     if item.key in NOT_LIMITED and item.value.isdigit()]
+            if found and 'controller' not in status.name:
+                self._held_back = sum(found)

@@ -1,0 +1,283 @@
+"""The conformance kit's second half: a driver's node held to docs/topics.md, from outside.
+
+It takes the controller's place, answers states with small commands, then does what goes wrong in
+life: bad messages, silence, a commander that starts anew, the e-stop, one that goes and comes
+back. It asks for nothing but the topics; where the node also publishes `events`, `truth` or
+diagnostics, these say what the actuator does, and where it does not, what they would have told is
+said to be unseen. Results are JSON lines on standard output, for ``dz driver check``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict
+import json
+import math
+import sys
+import time
+from typing import Any
+
+from rcl_interfaces.msg import ParameterDescriptor
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from dz_ros.core.records import Command
+from dz_ros.drivers.conformance import Result
+from dz_ros.drivers.stream_figures import figures
+from dz_ros.errors import LoopError
+from dz_ros.nodes.base import LoopNode
+from dz_ros.nodes.check_evidence import Evidence
+from dz_ros.nodes.guarded import LATCHED
+from dz_ros.nodes.parameters import configure
+
+PATIENCE = 15.0
+"""A node must publish its first state within this [s]."""
+SPAN = 3.0
+"""How long it is watched while all is well [s]."""
+BACK = 5.0
+"""After a stop, commands must act again within this [s]."""
+
+
+class CheckNode(LoopNode):
+    """Stands in for the controller and reports."""
+
+    def __init__(self) -> None:
+        super().__init__('controller_node')
+        self.configuration = configure(self, 'loop', 'structure', 'safety')
+
+        def given(name: str, default: Any, description: str) -> Any:
+            return self.declare_parameter(name, default, ParameterDescriptor(
+                read_only=True, description=description)).value
+
+        self._amplitude = given('amplitude', 0.1, 'largest command sent [command unit]')
+        self._limit = given('limit', 0.0, 'send twice this, which the driver must limit; 0 = do '
+                            'not [command unit]')
+        self._only = given('only', '', 'the one check to make, under this name; empty = all')
+        self._period = self.configuration.loop.period
+        self._safe = self.configuration.safety.safe_command
+        self._evidence = Evidence(self, self._answer)
+        self._estop = self.create_publisher(Bool, 'estop', LATCHED)
+        self._seq = 0
+        self._answering = False
+        self._v: float | None = None
+
+    def run(self) -> None:
+        """Make the checks, write the results.
+
+        Raises:
+            LoopError: Nobody publishes states.
+        """
+        results = self._alone() if self._only else self._all()
+        for result in results:
+            if self.stopping:
+                return
+            sys.stdout.write(json.dumps(asdict(result)) + '\n')
+            sys.stdout.flush()
+
+    def _alone(self) -> Iterator[Result]:
+        """Whether states come and commands act."""
+        started = time.monotonic()
+        self._connect()
+        acts = self._acts(BACK)
+        yield Result(self._only, acts, f'{time.monotonic() - started:.2f} s',
+                     f'<= {PATIENCE + BACK:g} s', '' if acts else 'no command acts')
+
+    def _all(self) -> Iterator[Result]:
+        self._connect()
+        evidence = self._evidence
+        if evidence.wrong_labels:
+            yield Result('order and labels', False, evidence.wrong_labels, 'of order '
+                         f'{self.configuration.plant.order}', 'docs/topics.md says which')
+            return
+        self._acts(BACK)
+        evidence.begin()
+        self._wait(SPAN)
+        yield from figures(evidence.states, evidence.arrivals, evidence.commands,
+                           self._period, self.configuration.plant.order)
+        yield self._bad_messages()
+        yield self._saturation()
+        yield self._silence()
+        yield self._new_commander()
+        yield from self._stop()
+        yield self._gone_and_back()
+
+    # The checks that provoke.
+
+    def _bad_messages(self) -> Result:
+        """NaN, infinities, seq back and far ahead, wrong labels: none may be echoed."""
+        last, bad = self._seq, []
+        state = self._evidence.states[-1]
+        labels = Command.labels()
+        for seq, v, stamp in ((400, math.nan, 0.0), (410, math.inf, 0.0), (420, -math.inf, 0.0),
+                              (430, 0.0, math.nan), (5000, 0.0, 0.0), (-50, 0.0, 0.0)):
+            number = last + seq
+            bad.append(number)
+            self._evidence.send(labels, (number, state.stamp + stamp, v, state.seq, state.stamp,
+                                         0.0))
+        for wrong in (('nonsense', *labels[1:]), labels[:-1]):
+            number = last + 440 + len(wrong)
+            bad.append(number)
+            self._evidence.send(wrong, (number, state.stamp, 0.0, state.seq, state.stamp,
+                                        0.0)[:len(wrong)])
+        before = len(self._evidence.states)
+        self._wait(0.5)
+        seen = self._evidence.states[before:]
+        taken = sorted({item.echo_seq for item in seen} & set(bad))
+        ill = [item.seq for item in seen if not all(map(math.isfinite, item.numbers()))]
+        acting = bool(seen) and seen[-1].echo_seq > last and not taken
+        words = ('it stopped publishing' if not seen else f'acted on {taken}' if taken else
+                 f'state {ill[0]} is not finite' if ill else
+                 '' if acting else 'good commands act no more')
+        return Result('bad messages refused', not words, f'{len(bad) - len(taken)} of {len(bad)}',
+                      f'{len(bad)}', words)
+
+    def _saturation(self) -> Result:
+        name, limit = 'saturation', self._limit
+        if limit <= 0.0:
+            return Result(name, None, 'not tried', 'limited and reported', 'it would move the '
+                          'device with all it has: --saturate tries, with a limit known')
+        held_back = self._evidence.held_back()
+        self._v = 2.0 * limit
+        self._wait(2.5)     # two reports of diagnostics
+        held, reported = self._evidence.largest_held(), self._evidence.held_back()
+        self._v = None
+        self._wait(0.2)
+        if held is None and reported is None:
+            return Result(name, None, 'sent', 'limited and reported', 'neither truth nor '
+                          'diagnostics say what the actuator holds')
+        more = reported is not None and reported > (held_back or 0)
+        kept = held is None or held <= limit * (1.0 + 1e-6)
+        return Result(name, kept and more,
+                      f'{"" if held is None else f"holds {held:g}, "}'
+                      f'{reported or 0} commands limited', f'<= {limit:g}, reported',
+                      '' if kept and more else 'more than the limit acts' if not kept else
+                      'the diagnostics do not count it')
+
+    def _silence(self) -> Result:
+        """No commands: the safe one within `safety.command_hold`."""
+        hold = self.configuration.safety.command_hold
+        name, limit = 'stale command', f'<= {hold + 2} samples'
+        if not hold:
+            return Result(name, None, 'safety.command_hold is 0', limit, 'a command never ages')
+        self._answering = False
+        self._evidence.note('silence')
+        self._wait((hold + 20) * self._period + 0.3)
+        samples = self._evidence.safe_after(self._safe)
+        if samples is None and not self._evidence.tells:
+            return Result(name, None, 'unseen', limit, 'neither events nor truth say when the '
+                          'actuator takes the safe command')
+        if samples is None:
+            return Result(name, False, 'never', limit, 'the last command acts on')
+        return Result(name, samples <= hold + 2, f'{samples} samples', limit,
+                      '' if samples <= hold + 2 else 'the last command acts for too long')
+
+    def _new_commander(self) -> Result:
+        """A commander that starts anew counts from 0."""
+        self._answering = True
+        acts = self._acts(BACK, fresh=True)
+        return Result('commander restarts', acts, 'acts' if acts else 'does not act',
+                      f'within {BACK:g} s', '' if acts else 'commands that count from 0 again '
+                      'after a silence are not taken')
+
+    def _stop(self) -> Iterator[Result]:
+        """The e-stop by its topic, and the way out of it."""
+        self._evidence.note('stop')
+        self._estop.publish(Bool(data=True))
+        self._wait(0.5)
+        echoed = {item.echo_seq for item in self._evidence.states[-20:]}
+        safe = self._evidence.safe_after(self._safe)
+        ignored = len(echoed) == 1
+        told = not self._evidence.tells or safe is not None
+        words = ('commands act although the e-stop is pressed' if not ignored else
+                 '' if told else 'the safe command was not taken')
+        yield Result('e-stop', ignored and told, f'{max(len(echoed) - 1, 0)} commands acted', '0',
+                     words)
+        self._estop.publish(Bool(data=False))
+        self._wait(0.2)
+        refused = self._reset()
+        acts = self._acts(BACK)
+        yield Result('reset', acts and not refused, 'acts' if acts else 'does not act',
+                     f'within {BACK:g} s', refused or ('' if acts else 'no command acts after '
+                                                       'the reset'))
+
+    def _gone_and_back(self) -> Result:
+        """The commander's publisher goes altogether and comes back."""
+        self._answering = False
+        self._evidence.disconnect()
+        self._wait(self.configuration.safety.fault_after * self._period + 0.5)
+        self._evidence.connect()
+        started = time.monotonic()
+        self._answering = True
+        acts = self._acts(1.0, fresh=True)
+        if not acts:
+            self._reset()
+            acts = self._acts(BACK)
+        return Result('disconnect and reconnect', acts, f'{time.monotonic() - started:.2f} s',
+                      f'<= {BACK:g} s', '' if acts else 'no command acts when the commander is '
+                      'back, reset or not')
+
+    # What they are made of.
+
+    def _connect(self) -> None:
+        """Wait for states, and begin to answer them.
+
+        Raises:
+            LoopError: There are none.
+        """
+        self._answering = True
+        seen = self._evidence
+        self.spin_until(time.monotonic() + PATIENCE,
+                        lambda: bool(seen.states or seen.wrong_labels))
+        if not (seen.states or seen.wrong_labels or self.stopping):
+            raise LoopError(f'no state on {self.resolve_topic_name("state")} within '
+                            f'{PATIENCE:g} s: is the driver running in this ROS_DOMAIN_ID and '
+                            'namespace, and does it wait for nobody else (loop.peers)?')
+
+    def _answer(self, seq: int, stamp: float) -> None:
+        """Answer a state."""
+        if not self._answering:
+            return
+        wave = self._safe + self._amplitude * math.sin(2.0 * math.pi * stamp)
+        self._evidence.command(Command(self._seq, stamp, wave if self._v is None else self._v,
+                                       seq, stamp))
+        self._seq += 1
+
+    def _acts(self, limit: float, fresh: bool = False) -> bool:
+        """Whether commands sent from now on are echoed, with their stamps, within a time [s].
+
+        Args:
+            limit: The time.
+            fresh: True where seq begins at 0 again: what was sent before is forgotten.
+        """
+        seen = self._evidence
+        if fresh:
+            self._seq = 0
+            seen.commands.clear()
+        first = self._seq + 5
+
+        def echoed() -> bool:
+            newest = seen.states[-1] if seen.states else None
+            return (newest is not None and newest.echo_seq >= first
+                    and seen.commands.get(newest.echo_seq) == newest.echo_stamp)
+
+        self.spin_until(time.monotonic() + limit, echoed)
+        return echoed()
+
+    def _wait(self, span: float) -> None:
+        self.spin_until(time.monotonic() + span)
+
+    def _reset(self) -> str:
+        """Call the node's reset service if it has one; return why it refused."""
+        said = ''
+        for publisher in self.get_publishers_info_by_topic('state'):
+            place = f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}/reset'
+            client = self.create_client(Trigger, place)
+            self.spin_until(time.monotonic() + 1.0, client.service_is_ready)
+            if client.service_is_ready():
+                future = client.call_async(Trigger.Request())
+                self.spin_until(time.monotonic() + BACK, future.done)
+                answer = future.result() if future.done() else None
+                said = 'reset does not answer' if answer is None else (
+                    '' if answer.success else answer.message)
+            self.destroy_client(client)
+        return said

@@ -1,0 +1,136 @@
+"""The rule on ω: against loops that are simulated, and in the closed loop with noise."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.controller import Controller
+from dz_ros.core.design_rules import check
+from dz_ros.core.finding import INFO, WARNING
+from dz_ros.core.observation import check_observer, layer_radius
+from dz_ros.core.observer import VelocityObserver
+from dz_ros.core.records import Reference, State
+from dz_ros.drivers.hosted import HostedDriver
+
+T = 0.005
+NOISY = {'plant.noise': [1e-3, 0.0], 'controller.epsilon': 0.05, 'loop.duration': 20.0}
+
+
+def linear_loop(omega, gain, lambda_, delay, samples):
+    """Return |x̃| of a double integrator under −gain (λ x̃ + v̂), step by step."""
+    observer = VelocityObserver(omega)
+    x, v, held, found = 1.0, 0.0, [0.0] * delay, []
+    observer.step(x, 0.0, 0.0)
+    for _ in range(samples):
+        observed = observer.step(x, 0.0, T)
+        held.append(-gain * (lambda_ * x + observed))
+        u = held.pop(0)
+        x, v = x + T * v + 0.5 * T * T * u, v + T * u
+        found.append(abs(x))
+    return found
+
+
+@pytest.mark.parametrize('delay', [0, 1, 2])
+@pytest.mark.parametrize('omega', [15.0, 30.0, 45.0, 80.0, 200.0])
+def test_the_radius_is_the_rate_at_which_a_simulated_loop_grows_or_calms(omega, delay):
+    found = linear_loop(omega, 60.0, 1.0, delay, 4000)
+    early, late = max(found[1000:2000]), max(found[3000:4000])
+    rate = (late / early) ** (1.0 / 2000.0)
+    assert layer_radius(omega, T, 60.0, 1.0, 2, delay) == pytest.approx(rate, abs=1e-3)
+
+
+def test_in_the_limit_of_fast_sampling_it_oscillates_below_half_the_gain():
+    for gain in (40.0, 80.0):
+        assert layer_radius(0.45 * gain, 1e-5, gain, 0.0, 2, 0) > 1.0
+        # λ = 0 leaves a root at 1 besides
+        assert layer_radius(0.55 * gain, 1e-5, gain, 1.0, 2, 0) < 1.0
+
+
+def test_the_radius_of_a_higher_order_is_that_of_a_simulated_chain():
+    observer, x, found = VelocityObserver(60.0), [1.0, 0.0, 0.0], []
+    observer.step(0.0, 0.0, 0.0)
+    for _ in range(3000):
+        u = -60.0 * (1.0 * x[0] + 2.0 * x[1] + observer.step(x[1], 0.0, T))
+        x = [x[0] + T * x[1] + T * T / 2 * x[2] + T ** 3 / 6 * u,
+             x[1] + T * x[2] + T * T / 2 * u, x[2] + T * u]
+        found.append(abs(x[0]))
+    rate = (max(found[2000:2100]) / max(found[1000:1100])) ** 1e-3
+    assert layer_radius(60.0, T, 60.0, 1.0, 3, 0) == pytest.approx(rate, abs=1e-3)
+
+
+def findings(**overrides):
+    flat = {**NOISY, 'driver.name': 'mock', 'driver.measures': 1,
+            **{key.replace('__', '.'): value for key, value in overrides.items()}}
+    return [item for item in check(Configuration.from_flat(flat)) if item.rule == 'observer']
+
+
+@pytest.mark.parametrize('omega', [50.0, 75.0, 100.0])
+def test_from_50_to_100_radians_a_second_suit_a_layer_of_0_05_under_noise(omega):
+    (found,) = findings(driver__observer=omega)
+    assert found.level == INFO
+    assert found.numbers['radius'] < 1.0
+    assert found.numbers['noise_limit'] >= 1e-3
+
+
+@pytest.mark.parametrize(('omega', 'words', 'change'), [
+    (20.0, 'oscillates', 'raise driver.observer to 4'), (200.0, '0.0899 of ε = 0.05', 'lower')])
+def test_a_pole_too_slow_or_too_fast_is_a_warning_that_says_what_to_do(omega, words, change):
+    (found,) = findings(driver__observer=omega)
+    assert found.level == WARNING
+    assert words in found.words
+    assert change in found.change
+
+
+def test_a_layer_too_thin_for_any_pole_is_told():
+    (found,) = findings(driver__observer=50.0, controller__epsilon=0.02)
+    assert found.level == WARNING
+    assert 'widen ε' in found.change
+
+
+def test_nothing_is_said_where_the_velocity_is_measured_or_the_law_unknown():
+    assert findings(driver__measures=0) == []
+    assert findings(controller__law='pd') == []
+    configuration = Configuration.from_flat({'driver.name': 'mock'}, driven=False)
+    assert list(check_observer(configuration, configuration.make_driver().measured)) == []
+
+
+def closed_loop(omega, difference=False):
+    """Return RMS of v̂ − x', RMS of s, total variation of v per second, max |x̃|, from 10 s on."""
+    c = Configuration.from_flat({**NOISY, 'driver.name': 'mock', 'driver.measures': 1,
+                                 'driver.observer': omega})
+    hosted, controller, rows, before = HostedDriver(c), Controller(c), [], None
+    hosted.open()
+    hosted.enable()
+    for k in range(c.loop.samples):
+        t = k * T
+        reference = Reference(k, t, tuple(c.trajectory(t)))
+        hosted.reference(reference)
+        x = hosted.measure(t)
+        if difference:
+            x, before = (x[0], 0.0 if before is None else (x[0] - before) / T), x[0]
+        controller.set_reference(reference)
+        command, terms = controller.respond(State(k, t, x))
+        hosted.command(command.v, t)
+        true = hosted.driver.x
+        rows.append((x[1] - true[1], terms.values[0], command.v, true[0] - reference.x_d[0]))
+        hosted.advance(t + T, k)
+    table = np.array(rows[len(rows) // 2:])
+    assert hosted.trouble() == ''
+    return (math.sqrt(np.mean(table[:, 0] ** 2)), math.sqrt(np.mean(table[:, 1] ** 2)),
+            np.sum(np.abs(np.diff(table[:, 2]))) / 10.0, np.max(np.abs(table[:, 3])))
+
+
+def test_in_the_closed_loop_a_backward_difference_is_ten_times_worse():
+    slow, fast, bare = closed_loop(50.0), closed_loop(100.0), closed_loop(50.0, difference=True)
+    for found in (slow, fast):
+        assert found[1] < 0.05      # s stays in its layer
+        assert found[3] < 0.04      # and the loop tracks
+    assert bare[0] > 8.0 * slow[0]
+    assert bare[1] > 8.0 * slow[1]
+    assert bare[2] > 10.0 * slow[2]
+    assert bare[0] > 6.0 * fast[0]
+    assert bare[1] > 0.05

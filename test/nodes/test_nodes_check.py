@@ -1,0 +1,126 @@
+"""The kit through topics: the example's node passes, one broken node for each check fails it."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
+
+ROOT = Path(__file__).parents[2]
+EXAMPLE = ROOT / 'examples' / 'dz_ros_driver'
+DZ = ('-m', 'dz_ros', 'driver', 'check')
+NAMES = ['order and labels', 'seq', 'stamps', 'echo', 'rate', 'latency', 'bad messages refused',
+         'saturation', 'stale command', 'commander restarts', 'e-stop', 'reset',
+         'disconnect and reconnect']
+TIME_OUT = 120.0
+
+
+@pytest.fixture
+def path():
+    """PYTHONPATH with dz_ros and the example's package, as if both were installed."""
+    return os.pathsep.join([str(ROOT), str(EXAMPLE), os.environ.get('PYTHONPATH', '')])
+
+
+def results(process):
+    """Return check → result from the JSON lines of the kit."""
+    found = [json.loads(line) for line in process.output.splitlines() if line.startswith('{')]
+    return {item['name']: item for item in found}
+
+
+def words(found):
+    return json.dumps(found, indent=1, ensure_ascii=False)
+
+
+def test_the_example_s_node_passes_from_outside(processes, path):
+    node = processes('-m', 'dz_ros_driver.driver_node', PYTHONPATH=path)
+    kit = processes(*DZ, '--topics', '--config', 'first_order', '--yes', '--json',
+                    PYTHONPATH=path)
+    code, found = kit.wait(TIME_OUT), results(kit)
+    assert list(found) == NAMES, kit.output
+    assert {name for name in NAMES if found[name]['passed'] is not True} <= {
+        'saturation', 'rate', 'latency'}, words(found)      # a busy machine may be late
+    assert code == (1 if any(item['passed'] is False for item in found.values()) else 0)
+    assert found['saturation']['passed'] is None
+    assert node.interrupt() == 0, node.output
+    assert 'Traceback' not in node.output
+
+
+@pytest.mark.parametrize(('flaw', 'name'), [
+    ('labels', 'order and labels'), ('seq', 'seq'), ('stamps', 'stamps'), ('echo', 'echo'),
+    ('rate', 'rate'), ('latency', 'latency'), ('bad messages', 'bad messages refused'),
+    ('saturation', 'saturation'), ('stale', 'stale command'), ('restart', 'commander restarts'),
+    ('e-stop', 'e-stop'), ('reset', 'reset'), ('disconnect', 'disconnect and reconnect')])
+def test_a_broken_node_fails_the_check_that_is_for_it(processes, path, flaw, name):
+    processes(Path(__file__).with_name('broken_driver.py'), flaw, PYTHONPATH=path)
+    kit = processes(*DZ, '--topics', '--config', 'first_order', '--yes', '--json', '--saturate',
+                    '--set', 'safety.command_limit=30', PYTHONPATH=path)
+    code, found = kit.wait(TIME_OUT), results(kit)
+    assert name in found, kit.output
+    assert found[name]['passed'] is False, words(found)
+    assert found[name]['words']
+    assert code == 1
+
+
+@pytest.mark.parametrize('driver', ['simulated', 'mock'])
+def test_our_own_drivers_pass_in_process_and_as_nodes(processes, driver):
+    kit = processes(*DZ, driver, '--json', '--saturate', '--set', 'plant.command_limit=5.0')
+    code, found = kit.wait(TIME_OUT), results(kit)
+    assert [name for name in found if name in NAMES] == NAMES, kit.output
+    assert 'killed and started again' in found
+    late = {'rate', 'latency', 'answers at once', 'measurement'}    # a busy machine may be late
+    assert {name for name in found if found[name]['passed'] is not True} <= late, words(found)
+    assert code == (0 if all(item['passed'] for item in found.values()) else 1)
+
+
+def test_the_example_s_class_passes(processes, path):
+    kit = processes(*DZ, 'dz_ros_driver.thruster:Thruster', '--config', 'first_order', '--yes',
+                    '--json', '--saturate', PYTHONPATH=path)
+    kit.wait(TIME_OUT)
+    found = results(kit)
+    late = {'rate', 'latency', 'answers at once', 'measurement'}
+    assert {name for name in found if found[name]['passed'] is not True} <= late, words(found)
+    assert set(NAMES) <= set(found)
+
+
+def test_a_driver_that_dies_as_a_node_is_told_in_one_line(processes, tmp_path):
+    (tmp_path / 'dying.py').write_text(
+        'import os\nfrom dz_ros.drivers.simulated import SimulatedActuator\n\n'
+        'class Dying(SimulatedActuator):\n    name = "dying"\n'
+        '    def attach(self, node):\n        self.node = node\n'
+        '    def advance(self, t, seq):\n'
+        '        if hasattr(self, "node") and t > 0.5:\n            os._exit(3)\n'
+        '        return super().advance(t, seq)\n', encoding='utf-8')
+    kit = processes(*DZ, 'dying:Dying', '--yes', PYTHONPATH=os.pathsep.join(
+        [str(ROOT), str(tmp_path)]))
+    assert kit.wait(TIME_OUT) in (1, 2), kit.output
+    assert 'Traceback' not in kit.output
+
+
+def test_nobody_there_is_one_line(processes):
+    kit = processes(*DZ, '--topics', '--yes')
+    assert kit.wait(TIME_OUT) == 2
+    assert 'no state on /state within' in kit.output
+    assert kit.output.count('\n') == 0
+
+
+@pytest.mark.parametrize(('given', 'message'), [
+    ((), 'give either a driver or --topics'),
+    (('mock', '--topics'), 'give either'),
+    (('no_such',), 'no such driver'),
+    (('--topics',), 'give --yes where nobody can be asked'),
+    (('mock', '--amplitude', '-1'), '--amplitude'),
+    (('mock', '--amplitude', '9', '--set', 'driver.limit=5'), 'from 0 to 5'),
+    (('mock', '--set', 'driver.script=[sometimes]'), 'driver.script'),
+])
+def test_what_cannot_be_asked_is_one_line(processes, given, message):
+    kit = processes(*DZ, *given)
+    assert kit.wait(TIME_OUT) == 2
+    assert message in kit.output
+    assert kit.output.count('\n') == 0
+
+
