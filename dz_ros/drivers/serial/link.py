@@ -8,7 +8,7 @@ device's watchdog lives on comes from `send` alone: neither thread repeats a com
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import secrets
 import threading
 import time
@@ -146,7 +146,8 @@ class Link:
         """
         if self._state is None or self._problem:
             raise DriverError(f'{self.port}: {self.trouble or "no answer yet"}')
-        self.broken = ''
+        with self._news:
+            self.broken, self._wish = '', None
 
     @property
     def trouble(self) -> str:
@@ -188,6 +189,9 @@ class Link:
                 if self._closing and self._wish is None:
                     return
                 wish, self._wish = self._wish, None
+                if wish is not None and wish.request is Request.RUN and self.trouble:
+                    # Wished before the line broke: it must not move the device after it.
+                    wish = replace(wish, request=Request.SAFE)
                 self._seq = (self._seq + 1) % 2 ** 32
                 seq, session = self._seq, self._session
             if wish is not None:
