@@ -7,7 +7,8 @@ PYTEST_ARGS ?=
 bin := $(VENV)/bin
 environment = @$(PYTHON) tools/environment.py $(VENV)
 
-.PHONY: help demo test test-live lint types docs bench bench-faults colcon wheel clean distclean
+.PHONY: help demo test test-live lint types docs bench bench-quick bench-all bench-faults colcon wheel clean \
+  distclean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -38,10 +39,17 @@ docs:  ## links, citations and the map of folders in the documents
 	$(environment)
 	$(bin)/python tools/check_docs.py
 
-bench:  ## every figure the documents quote, measured on this machine
-	$(environment) ros test numba
-	set -e; for script in $$(grep -l __main__ benchmarks/*.py); do echo "== $$script"; \
-	  $(bin)/python $$script; done
+bench:  ## every ratio of speed against its target, into docs/performance.md (half an hour, alone)
+	$(environment) ros test bench numba
+	$(bin)/python benchmarks/performance.py --write
+
+bench-quick:  ## the ratios that a minute can tell
+	$(environment) ros test bench numba
+	$(bin)/python benchmarks/performance.py --quick
+
+bench-all: bench  ## every other figure the documents quote as well
+	set -e; for script in $$(grep -l __main__ benchmarks/*.py | grep -v performance); do \
+	  echo "== $$script"; $(bin)/python $$script; done
 
 bench-faults:  ## inject faults into real loops, and write what happened into docs/safety.md
 	$(environment) ros test

@@ -59,6 +59,7 @@ setup(
         'test': [*CIA402, 'aiohttp>=3.9', 'axe-playwright-python>=0.1.4', 'distributed>=2024.1',
                  'foxglove-sdk>=0.14', 'hypothesis>=6.98', 'numba>=0.61', 'playwright>=1.40',
                  'pyarrow>=14', 'pyserial>=3.5', 'pytest>=7.4'],
+        'bench': ['control>=0.10', 'py-spy>=0.3'],      # peers of benchmarks/offline.py; profiles
         'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
         'colcon': [
             'catkin-pkg==1.1.1',

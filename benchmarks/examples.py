@@ -29,7 +29,8 @@ EXAMPLES = {
     'valve_actuator': 'a third-order valve-controlled actuator',
     'step': "a step shaped by a reference model, on the paper's plant",
 }
-BEGIN, END = '<!-- demo figures: make bench writes this table -->', '<!-- end of demo figures -->'
+BEGIN = '<!-- demo figures: benchmarks/examples.py writes this table -->'
+END = '<!-- end of demo figures -->'
 
 
 def dz(*words: str) -> str:

@@ -75,6 +75,15 @@ def grid(name: str, steps: int) -> list[str]:
     return lines
 
 
+def grids(quick: bool = False) -> list[str]:
+    """Return the tables of the laws that are judged."""
+    lines: list[str] = []
+    for name in JUDGED:
+        lines += ['', f'`Law.step` of `{name}`, p50 (p99) [µs]:', '',
+                  *grid(name, 2_000 if quick else 20_000)]
+    return lines[1:]
+
+
 def measure(quick: bool = False) -> list[Row]:
     """Return the lines of the table."""
     found = every_law(5_000 if quick else 50_000)
@@ -92,9 +101,7 @@ def main() -> int:
     arguments = parser.parse_args()
     print(describe())
     code = show(measure(arguments.quick))
-    for name in JUDGED:
-        print('', 'p50 (p99) [µs]:', '', *grid(name, 2_000 if arguments.quick else 20_000),
-              sep='\n')
+    print('', *grids(arguments.quick), sep='\n')
     return code
 
 

@@ -38,7 +38,7 @@ def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
         name: [] for name in ECHOES if not quick or name in ('events, UDP', 'plain')}
     loops: list[running.Measured] = []
     ticks: list[list[float]] = []
-    seconds = 4.0 if quick else 5.0
+    seconds = 3.0 if quick else 4.0
     for turn in range(rounds):
         for name in echoes:
             echoes[name].append(running.echo(*ECHOES[name], seconds))
@@ -95,13 +95,19 @@ def cpu(folder: Path, rounds: int, quick: bool) -> list[Row]:
 
 def holds(found: running.Measured) -> bool:
     """Whether a rate is held."""
-    return found.lost == found.skipped == 0 and found.late <= LATE_SHARE * found.samples
+    return gone(found) == 0 and found.late <= LATE_SHARE * found.samples
+
+
+def gone(found: running.Measured) -> int:
+    """Return how much was lost in any way."""
+    return found.lost + found.unanswered + found.skipped
 
 
 def rate_words(found: running.Measured) -> str:
     """Return what became of the samples of a rate."""
     return (f'{found.late} of {found.samples} late, {found.skipped} periods skipped, '
-            f'{found.lost} lost, round trip {brief(spread(found.round_trips, 1e6))}')
+            f'{found.unanswered} unanswered, {found.lost} lost, '
+            f'round trip {brief(spread(found.round_trips, 1e6))}')
 
 
 def rates(folder: Path, quick: bool) -> list[Row]:
@@ -110,7 +116,7 @@ def rates(folder: Path, quick: bool) -> list[Row]:
     say(f'1 kHz: {rate_words(long)}')
     rows = [Row('1 kHz: late', 100.0 * long.late / long.samples, 100.0 * LATE_SHARE, '%',
                 detail=rate_words(long)),
-            Row('1 kHz: lost or skipped', long.lost + long.skipped, 0.0, 'samples')]
+            Row('1 kHz: lost, unanswered or skipped', gone(long), 0.0, 'samples')]
     if quick:
         return rows
     highest, detail = 0.0, ''
@@ -133,8 +139,8 @@ def soak(folder: Path, seconds: float = 600.0) -> list[Row]:
         first = next(size for t, size in seen if t >= min(60.0, 0.1 * seconds))
         grown[name] = (seen[-1][1] - first) / 1e6
     minutes = seconds / 60.0
-    return [Row(f'{minutes:.0f} min: lost or skipped', found.lost + found.skipped, 0.0, 'samples',
-                detail=f'{found.samples} samples, {found.late} late, {found.too_late} too late'),
+    return [Row(f'{minutes:.0f} min: lost', found.lost, 0.0, 'messages',
+                detail=rate_words(found)),
             Row(f'{minutes:.0f} min: growth of the memory of a node since minute one',
                 max(grown.values()), 2.0, 'MB', detail=', '.join(
                     f'{name} {size:+.2f}' for name, size in grown.items()))]
@@ -146,7 +152,7 @@ def measure(quick: bool = False, parts: tuple[str, ...] = PARTS, rounds: int = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if 'latency' in parts:
-            rows += latency(folder, rounds or (1 if quick else 5), quick)
+            rows += latency(folder, rounds or (1 if quick else 4), quick)
         if 'cpu' in parts:
             rows += cpu(folder, rounds or (1 if quick else 3), quick)
         if 'rates' in parts:

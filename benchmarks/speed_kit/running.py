@@ -121,7 +121,8 @@ class Measured:
         too_late: Periods more than T too long.
         late: Periods more than 1 ms too long.
         samples: States.
-        lost: Messages that never came to the recorder, states that were never answered.
+        lost: Messages that never came to the recorder.
+        unanswered: States that were never answered: the controller takes the newest only.
         skipped: Periods without a sample.
         shares: Node → share of a core.
         memory: Node → (seconds, bytes) from time to time.
@@ -133,6 +134,7 @@ class Measured:
     late: int = 0
     samples: int = 0
     lost: int = 0
+    unanswered: int = 0
     skipped: int = 0
     shares: dict[str, float] = field(default_factory=dict)
     memory: dict[str, list[tuple[float, int]]] = field(default_factory=dict)
@@ -141,7 +143,7 @@ class Measured:
         """Take another run of the same kind in."""
         self.round_trips += other.round_trips
         self.deviations += other.deviations
-        for name in ('too_late', 'late', 'samples', 'lost', 'skipped'):
+        for name in ('too_late', 'late', 'samples', 'lost', 'unanswered', 'skipped'):
             setattr(self, name, getattr(self, name) + getattr(other, name))
 
 
@@ -209,5 +211,4 @@ def judge(found: Measured, run: RunData) -> None:
     for channel in run.channels.values():
         numbers = channel['seq'][channel['seq'] >= 0.0]
         found.lost += round(float(np.ptp(numbers))) + 1 - len(np.unique(numbers))
-    unanswered = np.setdiff1d(seq, command['echo_seq'])
-    found.lost += len(unanswered)
+    found.unanswered = len(np.setdiff1d(seq, command['echo_seq']))

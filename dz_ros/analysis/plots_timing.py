@@ -17,6 +17,7 @@ LATENCIES = (
     ('publish', 'state → command, publish to publish'),
     ('log', 'state → command, as recorded'),
     ('hold', 'controller held the state'),
+    ('transport', 'transport, both ways'),
     ('round_trip', 'round trip at the plant'),
 )
 """Latencies in the order of preference, with their titles."""

@@ -125,11 +125,14 @@ def timing(view: View) -> str:
         ['topic', 'clock', 'p50', 'p99', 'p99.9', 'max', 'within 1 ms', 'late', 'too late'], rows,
         f'{what}, T = {milliseconds(t.period)}; late: more than 1 ms too long, too late: more '
         'than one whole period too long.', range(2, 9))]
-    found = [[title, str(spread.count), *_spread(spread)]
+    found = [[title, str(spread.count), *_spread(spread),
+              *('–' if count is None else str(count) for count in t.late(key))]
              for key, title in LATENCIES if (spread := t.latencies.get(key)) is not None]
     if found:
-        parts.append(page.table(['latency', 'answers', 'p50', 'p99', 'p99.9', 'max'], found,
-                                'How long a state waited for its command [ms].', range(1, 6)))
+        parts.append(page.table(
+            ['latency', 'answers', 'p50', 'p99', 'p99.9', 'max', 'late', 'too late'], found,
+            'How long a state waited for its command [ms]; late: more than 1 ms, too late: more '
+            'than T.', range(1, 8)))
     if t.samples_late:
         parts.append(page.paragraph('Age of the newest command when a state was measured: ' +
                                     ', '.join(f'{1 + late} sample(s) in {count} cases'

@@ -9,8 +9,10 @@ Three kinds of evidence, none of which compares the clocks of two machines unles
 - **latency** of the answer, state → command, matched by the echoed seq: publish to publish, and
   as the recorder saw both (log to log).
 - **in band**, from what the messages themselves carry: how long the controller held a state,
-  the round trip by the plant's own clock, and how many whole samples old the newest command was
-  when a state was measured.
+  the round trip by the plant's own clock, their difference, which is the transport both ways, and
+  how many whole samples old the newest command was when a state was measured.
+
+A latency is *late* beyond 1 ms and *too late* beyond one period.
 
 A run that was computed off line has no timing; one in lockstep has no deadline to meet.
 """
@@ -114,7 +116,8 @@ class Timing:
         period: Nominal T [s]; None = unknown.
         speed: Seconds of loop time per second of wall time; None off line.
         topics: Channel → its timing.
-        latencies: What → how long [s]: ``publish``, ``log``, ``hold``, ``round_trip``.
+        latencies: What → how long [s]: ``publish``, ``log``, ``hold``, ``transport``,
+            ``round_trip``.
         samples_late: d → states measured when the newest command was 1 + d samples old.
     """
 
@@ -136,8 +139,16 @@ class Timing:
             'note': self.note, 'period': self.period, 'speed': self.speed,
             'samples_late': self.samples_late,
             'topics': {name: topic.to_dict() for name, topic in self.topics.items()},
-            'latencies': {name: spread.to_dict() for name, spread in self.latencies.items()}})
+            'latencies': {name: {**spread.to_dict(), **dict(zip(
+                ('late', 'too_late'), self.late(name), strict=True))}
+                for name, spread in self.latencies.items()}})
         return found
+
+    def late(self, name: str) -> tuple[int, int | None]:
+        """Return how many of a latency are late and too late; None where T is unknown."""
+        values = self.latencies[name].values
+        return (int(np.count_nonzero(values > LATE)), None if self.period is None else
+                int(np.count_nonzero(values > self.period)))
 
 
 def measure_timing(run: RunData, setting: Setting) -> Timing:
@@ -205,7 +216,18 @@ def _latencies(run: RunData) -> dict[str, Spread]:
         if channel is not None and name in channel.labels:
             values = channel[name]
             found[name] = Spread.of(values[values > 0.0])
+    if state is not None and command is not None and {'hold', 'round_trip'} <= found.keys():
+        found['transport'] = Spread.of(_transport(state, command))
     return {name: spread for name, spread in found.items() if spread is not None}
+
+
+def _transport(state: Channel, command: Channel) -> Array:
+    """Return round trips less the holds of the commands that ended them [s]."""
+    echoed, rows = first_of_each(state['echo_seq'])
+    seq, answers = first_of_each(command['seq'])
+    _, ends, begins = np.intersect1d(echoed, seq, return_indices=True)
+    trip, hold = state['round_trip'][rows[ends]], command['hold'][answers[begins]]
+    return np.asarray((trip - hold)[(hold > 0.0) & (trip > hold)], dtype=np.float64)
 
 
 def _samples_late(state: Channel | None, period: float | None) -> dict[int, int]:

@@ -40,6 +40,7 @@ VERBS = {
     ('status',): Verb('status', 'show how the nodes of running loops are, live'),
     ('estop',): Verb('estop', 'stop a loop: the safe command at both ends, until reset'),
     ('reset',): Verb('reset', 'release e-stop and faults of a loop, the actuator first'),
+    ('doctor',): Verb('doctor', 'say what this machine permits a loop and what that would gain'),
     ('simulate',): Verb('simulate', 'run the loop off line, as fast as the machine goes'),
     ('check',): Verb('check', 'say what a configuration promises and what it does not'),
     ('arena',): Verb('arena', 'compare every law in every scenario'),

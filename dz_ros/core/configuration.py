@@ -30,6 +30,7 @@ from dz_ros.core.settings import (
     ControllerSettings,
     LoopSettings,
     PlantSettings,
+    ProcessSettings,
     TrajectorySettings,
 )
 from dz_ros.core.trajectories import TRAJECTORIES
@@ -39,6 +40,7 @@ from dz_ros.errors import ConfigurationError, UnknownNameError
 SECTIONS: Mapping[str, tuple[type, Registry | None, str]] = {
     'loop': (LoopSettings, None, ''),
     'safety': (SafetySettings, None, ''),
+    'process': (ProcessSettings, None, ''),
     'plant': (PlantSettings, PLANTS, 'Parameters'),
     'controller': (ControllerSettings, LAWS, 'Gains'),
     'trajectory': (TrajectorySettings, TRAJECTORIES, 'Parameters'),
@@ -54,7 +56,7 @@ class Configuration:
     """A checked configuration, ready to run.
 
     Attributes:
-        loop, safety, plant_settings, controller_settings, trajectory_settings,
+        loop, safety, process, plant_settings, controller_settings, trajectory_settings,
             driver_settings: Common settings.
         dead_zone: The actuator's dead-zone.
         plant: The plant.
@@ -68,6 +70,7 @@ class Configuration:
 
     loop: LoopSettings
     safety: SafetySettings
+    process: ProcessSettings
     plant_settings: PlantSettings
     controller_settings: ControllerSettings
     trajectory_settings: TrajectorySettings
@@ -141,9 +144,9 @@ class Configuration:
         if loop.timing == 'lockstep' and not driver_class.lockstep:
             raise ConfigurationError('loop.timing', loop.timing, 'must be realtime with '
                                      f'driver.name = {driver_class.name!r}, a device keeps time')
-        return cls(loop, built['safety'][0], settings, controller, trajectory_settings,
-                   driver_settings, dead_zone, plant, law, trajectory, driver_class,
-                   driver_parameters, x0, noise, tuple(set_aside))
+        return cls(loop, built['safety'][0], built['process'][0], settings, controller,
+                   trajectory_settings, driver_settings, dead_zone, plant, law, trajectory,
+                   driver_class, driver_parameters, x0, noise, tuple(set_aside))
 
     def make_driver(self) -> Driver:
         """Return the configured driver; nothing is opened yet."""
@@ -151,7 +154,7 @@ class Configuration:
 
     def to_flat(self) -> dict[str, Any]:
         """Return every key of this configuration with its value; arrays as lists."""
-        groups = {'loop': (self.loop,), 'safety': (self.safety,),
+        groups = {'loop': (self.loop,), 'safety': (self.safety,), 'process': (self.process,),
                   'plant': (self.plant_settings, self.plant.parameters),
                   'controller': (self.controller_settings, self.law.gains),
                   'trajectory': (self.trajectory_settings, self.trajectory.parameters),

@@ -187,12 +187,16 @@ class Controller:
         Raises:
             ViolationError: It may not.
         """
-        if not all(map(math.isfinite, (command.v, *memory, *terms.values, *terms.signals))):
+        numbers = (command.v, *memory, *terms.values, *terms.signals)
+        # A sum that is finite has none but finite terms; the reverse need not be so.
+        if not math.isfinite(sum(numbers)) and not all(map(math.isfinite, numbers)):
             raise ViolationError('the law gave a number that is not finite')
         limits = self.gate.settings
         if 0.0 < limits.error_limit < abs(self.error):
             raise ViolationError(f'error {self.error:.4g} beyond safety.error_limit '
                                  f'{limits.error_limit:g}')
+        if not (limits.theta_limit > 0.0 or limits.phi_limit > 0.0):
+            return
         for i, limit, key in ((i, limit, key) for places, limit, key in (
                 (self._theta_at, limits.theta_limit, 'theta'),
                 (self._phi_at, limits.phi_limit, 'phi')) if limit > 0.0 for i in places):

@@ -3,7 +3,7 @@
 Immutable values. Each carries ``seq`` (count of samples from 0) and ``stamp`` (loop time of the
 sample in seconds, 0 at the first one). The field names of a record, in the order in which its
 numbers travel, come from its ``labels`` and nowhere else: topic label, MCAP channel and plot
-column are encodings of it.
+column are encodings of it. They have slots: a sample makes three of them, in half the time.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Status(enum.IntFlag):
     """The controller is not in a state that adapts."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Reference:
     """Desired motion at one instant.
 
@@ -77,7 +77,7 @@ class Reference:
         return Reference(self.seq, stamp, tuple(moved))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class State:
     """Measured state of the plant.
 
@@ -115,7 +115,7 @@ class State:
                    numbers[-2], numbers[-1])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Command:
     """What the controller asks of the actuator.
 
@@ -152,7 +152,7 @@ class Command:
                    numbers[5])
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Terms:
     """Every term of the law in one sample.
 
@@ -188,7 +188,7 @@ class Terms:
                 self.reference_seq, self.echo_seq, *self.signals)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Truth:
     """What only a simulated plant knows.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import re
 
 from dz_ros.core.schema import parameter
 from dz_ros.errors import ConfigurationError
@@ -118,3 +119,39 @@ class TrajectorySettings:
 
     kind: str = parameter('sinusoid', '', 'name of the trajectory, or package.module:Class',
                           structural=True)
+
+
+@dataclass(frozen=True)
+class ProcessSettings:
+    """What the two ends of the loop ask of the operating system; all of it may be refused."""
+
+    priority: int = parameter(0, '', 'SCHED_FIFO priority of plant or actuator and controller in '
+                              'real time, one less for the trajectory; 0 = as any process',
+                              minimum=0, maximum=98, structural=True)
+    cores: str = parameter('', '', 'cores that plant or actuator and controller run on, e.g. 2,3 '
+                           'or 2-3; empty = any', structural=True)
+    lock_memory: bool = parameter(False, '', 'keep plant or actuator and controller in RAM',
+                                  structural=True)
+    collect_garbage: bool = parameter(False, '', "leave Python's automatic garbage collection on; "
+                                      'for drivers and laws that make reference cycles',
+                                      structural=True)
+
+    def check(self, prefix: str) -> None:
+        """Check that the cores are numbers.
+
+        Raises:
+            ConfigurationError: They are not.
+        """
+        part = r'\d{1,4}(-\d{1,4})?'
+        if self.cores and not re.fullmatch(f'{part}(,{part})*', self.cores):
+            raise ConfigurationError(f'{prefix}cores', self.cores,
+                                     'must be numbers and ranges such as 0,2-3, or empty')
+
+    @property
+    def core_numbers(self) -> frozenset[int]:
+        """The cores by number; empty = any."""
+        found: set[int] = set()
+        for part in self.cores.split(',') if self.cores else ():
+            first, _, last = part.partition('-')
+            found.update(range(int(first), int(last or first) + 1))
+        return frozenset(found)

@@ -115,6 +115,8 @@ class ActuatorHost(Hosting):
         """Publish what is left of the last sample."""
         self._tell(self._end_sample(self._t))
         self._finished = True
+        if not self.lockstep:
+            self.event('latency', hop='round trip', **self._latency.summary())
         self.event('finished', ends=['state'], seq=self._seq,
                    ignored=self._guard.guard.rejected(), **details)
 

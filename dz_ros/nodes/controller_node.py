@@ -12,9 +12,10 @@ import time
 from rcl_interfaces.msg import ParameterDescriptor
 
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.latency import Latency
 from dz_ros.core.records import Command, Reference, State, Terms
 from dz_ros.core.safety.controller_guard import Answer, ControllerGuard
-from dz_ros.core.safety.health import LawHealth, Pace, percentiles, Rejections, Report, say_state
+from dz_ros.core.safety.health import LawHealth, Pace, Rejections, Report, say_state
 from dz_ros.core.safety.supervisor import Supervisor
 from dz_ros.core.safety.table import Mode
 from dz_ros.errors import LoopError
@@ -40,7 +41,7 @@ class ControllerNode(GuardedNode):
         self._pace = Pace(self.configuration.loop.period)
         self._health = LawHealth(self.configuration)
         self._rejections = Rejections()
-        self._holds: list[float] = []
+        self._holds = Latency(self.configuration.loop.period)
         self._waiting: tuple[State, int] | None = None
         self._announced: tuple[int, tuple[float, ...]] | None = None
         rate = self.declare_parameter('progress_rate', 0.0, ParameterDescriptor(
@@ -59,8 +60,7 @@ class ControllerNode(GuardedNode):
         report = Report()
         say_state(report, self.supervisor)
         self._pace.report(report, not self.lockstep)
-        percentiles(self._holds, report, 'state to command')
-        self._holds.clear()
+        self._holds.report(report, 'state to command', not self.lockstep)
         self._health.report(report)
         report.put('commands', self._guard.controller.count, 'd')
         report.put('held back by a limit', self._guard.controller.gate.limited, 'd')
@@ -87,6 +87,8 @@ class ControllerNode(GuardedNode):
         for answer in self._guard.transition(name):
             self._send(answer)
         if was_active:
+            if not self.lockstep:
+                self.event('latency', hop='state to command', **self._holds.summary())
             self.event('finished' if name == 'shutdown' else 'stopped', ends=['command'],
                        ignored=self._guard.state_guard.rejected(),
                        ignored_references=self._guard.reference_guard.rejected())
@@ -102,12 +104,14 @@ class ControllerNode(GuardedNode):
         if not self._listening:
             self._listening = True
             self.take('state', State.labels(self._order), self._on_state)
-        period = self.configuration.loop.period
+        period, looked = self.configuration.loop.period, 0.0
         while not self.halted:
             watching = self.supervisor.mode in (Mode.RUNNING, Mode.LOST) and not self.lockstep
             self.spin(period if watching else SPIN_LIMIT)
-            if watching:
-                self._look()
+            now = time.monotonic()
+            if watching and now - looked >= period:
+                looked = now
+                self._look(now)
             self.diagnosing.look()
             if self.lockstep and self._waiting is not None:
                 state, taken_ns = self._waiting
@@ -177,13 +181,11 @@ class ControllerNode(GuardedNode):
         command, terms = answer
         self._pace.sample(taken_ns * 1e-9, state.stamp)
         self._health.sample(command.v, terms, self._guard.controller.error)
-        self._holds.append((time.monotonic_ns() - taken_ns) * 1e-9)
         if self._progress is not None:
             self._progress.sample(state, terms, self._guard.controller.error, command.v, taken_ns)
 
-    def _look(self) -> None:
+    def _look(self, now: float) -> None:
         """Look at the clock."""
-        now = time.monotonic()
         senders = 1
         for topic, guard in (('state', self._guard.state_guard),
                              ('reference', self._guard.reference_guard)):
@@ -198,5 +200,7 @@ class ControllerNode(GuardedNode):
         command, terms = answer
         hold = 0.0 if self.lockstep or not taken_ns else (
             time.monotonic_ns() - taken_ns) * 1e-9
+        if hold:
+            self._holds.add(hold)
         self._publish_command((*command.numbers()[:-1], hold))
         self._publish_terms(terms.numbers())

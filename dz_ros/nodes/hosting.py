@@ -13,13 +13,17 @@ import math
 import time
 
 from dz_ros.core.finding import INFO
+from dz_ros.core.latency import Latency
 from dz_ros.core.observation import check_observer
 from dz_ros.core.records import Command, Reference, State, Truth
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
-from dz_ros.core.safety.health import Pace, percentiles, Rejections, Report, say_state
+from dz_ros.core.safety.health import Pace, Rejections, Report, say_state
 from dz_ros.core.safety.supervisor import Supervisor
 from dz_ros.drivers.hosted import HostedDriver
 from dz_ros.nodes.guarded import GuardedNode
+
+REMEMBERED = 64
+"""So many states are remembered, so that a late answer is measured as what it is."""
 
 
 class Hosting(GuardedNode):
@@ -42,7 +46,7 @@ class Hosting(GuardedNode):
                                     self.changed)
         self._start_ns: int | None = None
         self._t = 0.0
-        self._published_ns = 0
+        self._published_ns = [0] * REMEMBERED
         self._seq = 0
         self._measured: tuple[float, ...] | None = None
         self._measured_seq = -1
@@ -51,7 +55,7 @@ class Hosting(GuardedNode):
         self._finished = False
         self._pace = Pace(self._period)
         self._rejections = Rejections()
-        self._round_trips: list[float] = []
+        self._latency = Latency(self._period)
         self._skipped = 0
         self._check_observer()
         self.watch_parameters()
@@ -66,8 +70,7 @@ class Hosting(GuardedNode):
         report = Report()
         say_state(report, self.supervisor)
         self._pace.report(report, not self.lockstep)
-        percentiles(self._round_trips, report, 'round trip')
-        self._round_trips.clear()
+        self._latency.report(report, 'round trip', not self.lockstep)
         report.put('periods skipped', self._skipped, 'd')
         report.put('command in force', self._guard.output)
         report.put('held back by a limit', self._guard.gate.limited, 'd')
@@ -195,7 +198,7 @@ class Hosting(GuardedNode):
             return False
         echo = self._guard.taken or Command(-1, 0.0, 0.0)
         state = State(self._seq, self._t, self._measured, echo.seq, echo.stamp, self._round_trip)
-        self._published_ns = time.monotonic_ns()
+        self._published_ns[self._seq % REMEMBERED] = time.monotonic_ns()
         self._publish_state(state.numbers())
         return True
 
@@ -209,10 +212,12 @@ class Hosting(GuardedNode):
         if self._guard.heard is heard:
             return
         assert self._guard.heard is not None
-        if self._guard.heard.echo_seq == self._seq:
-            self._answered_seq = self._seq
-            self._round_trip = (now_ns - self._published_ns) * 1e-9
-            self._round_trips.append(self._round_trip)
+        answered = self._guard.heard.echo_seq
+        if self._seq - REMEMBERED < answered <= self._seq:
+            self._round_trip = (now_ns - self._published_ns[answered % REMEMBERED]) * 1e-9
+            self._latency.add(self._round_trip)
+        if answered == self._seq:
+            self._answered_seq = answered
             if self._start_ns is None:
                 self._start_ns = now_ns - round(self._t * 1e9)
         if v is not None:

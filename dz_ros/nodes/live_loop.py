@@ -124,7 +124,7 @@ class LiveLoop(Source):
         if topic == EVENTS:
             return self._on_event
 
-        def take(payload: bytes, source_ns: int) -> None:
+        def take(payload: bytes, source_ns: int, _received_ns: int) -> None:
             codec = self._codecs.get(topic)
             try:
                 if codec is None:
@@ -150,7 +150,7 @@ class LiveLoop(Source):
             self._labels[topic] = labels
             self._stale = True
 
-    def _on_event(self, payload: bytes, source_ns: int) -> None:
+    def _on_event(self, payload: bytes, source_ns: int, _received_ns: int) -> None:
         try:
             event = json.loads(decode_string(payload))
             name, node = str(event['event']), str(event['node'])

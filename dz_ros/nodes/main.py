@@ -17,6 +17,7 @@ from typing import Any
 
 from dz_ros.errors import DzRosError, NO_RCLPY
 from dz_ros.runtime.claim import domain
+from dz_ros.runtime.privileges import ADVICE, ask
 from dz_ros.runtime.process import end_with_parent, settle
 
 NODES = {'plant_node': 'PlantNode', 'actuator_node': 'ActuatorNode',
@@ -25,6 +26,8 @@ NODES = {'plant_node': 'PlantNode', 'actuator_node': 'ActuatorNode',
          'replay_node': 'ReplayNode', 'feed_node': 'FeedNode',
          'operator_node': 'OperatorNode', 'check_node': 'CheckNode', 'live_node': 'LiveNode'}
 """Executable → class in the module of the same name."""
+PRIORITY = {'plant_node': 0, 'actuator_node': 0, 'controller_node': 0, 'trajectory_node': -1}
+"""Node that may be set up by the section `process` → its priority less `process.priority`."""
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 """Environment variables that name a file of profiles for Fast DDS."""
 
@@ -69,7 +72,7 @@ def run_node(name: str) -> int:
         module = importlib.import_module(f'dz_ros.nodes.{name}')
         node = getattr(module, NODES[name])()
         node.stopping = told
-        settle()
+        _set_up(name, node)
         node.run()
     except DzRosError as error:
         code = _complain(name, str(error))
@@ -81,6 +84,21 @@ def run_node(name: str) -> int:
         code = _close(name, node) or code
         rclpy.try_shutdown()
     return code
+
+
+def _set_up(name: str, node: Any) -> None:
+    """Set the process up as the configuration wants it; one line for all that is refused."""
+    configuration = getattr(node, 'configuration', None)
+    if configuration is None or name not in PRIORITY:
+        settle(collect_garbage=True)    # nobody waits for it
+        return
+    wanted, own = configuration.process, PRIORITY[name]
+    settle(wanted.collect_garbage)
+    realtime = configuration.loop.timing == 'realtime'
+    refused = ask(max(wanted.priority + own, 1) if realtime and wanted.priority else 0,
+                  wanted.core_numbers if own == 0 else (), wanted.lock_memory and own == 0)
+    if refused:
+        node.get_logger().warning(f'refused: {", ".join(refused)}; {ADVICE}')
 
 
 def _close(name: str, node: Any) -> int:

@@ -104,10 +104,10 @@ def configure(node: Node, *sections: str) -> Configuration:
 
     Args:
         node: The node.
-        *sections: Of loop, safety, plant, structure (the plant's model and parameters alone,
-            which is what a controller may know of it), controller, trajectory, driver, device
-            (plant where the driver simulates it, structure otherwise). Without plant and driver
-            the driver need not be installed.
+        *sections: Of loop (which brings process), safety, plant, structure (the plant's model and
+            parameters alone, which is what a controller may know of it), controller, trajectory,
+            driver, device (plant where the driver simulates it, structure otherwise). Without
+            plant and driver the driver need not be installed.
 
     Raises:
         ConfigurationError: A key nobody knows or a value that is not allowed.
@@ -116,7 +116,7 @@ def configure(node: Node, *sections: str) -> Configuration:
     resolve_waypoints(flat, Path())     # relative to where the node was started
     c = Configuration.from_flat(flat, driven='plant' in sections or 'driver' in sections)
     groups = {
-        'loop': (('loop', c.loop),),
+        'loop': (('loop', c.loop), ('process', c.process)),
         'safety': (('safety', c.safety),),
         'plant': (('plant', c.plant_settings), ('plant', c.plant.parameters),
                   ('plant.dead_zone', c.dead_zone)),

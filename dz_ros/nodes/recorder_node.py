@@ -1,8 +1,10 @@
 """The recorder as a node: stores every message of the loop's topics as it was received.
 
-Callbacks only put the received bytes into a queue; a thread of its own writes them (the twin
-without ROS is ``recording/queued.py``). It records whatever there is and never holds up the loop,
-except that the loop's first sample waits for it when `loop.peers` names it.
+Messages are let collect for a while and taken together: waking up for each of them would cost as
+much as all other nodes, in the very moments in which those compute. The middleware keeps them, and
+when they came. A thread of its own writes the bytes as received (the twin without ROS is
+``recording/queued.py``). It records whatever there is and never holds up the loop, except that the
+loop's first sample waits for it when `loop.peers` names it.
 """
 
 from __future__ import annotations
@@ -33,8 +35,8 @@ SERVE = 0.1
 """Services, such as those of the parameters, are served this often [s]."""
 BEHIND = 2000
 """More messages than this in the queue mean that the disk does not keep up."""
-LET_COLLECT = 0.01
-"""In lockstep, where times of arrival mean nothing, messages are let collect for this long [s]."""
+LET_COLLECT = {'realtime': 0.05, 'lockstep': 0.01}
+"""`loop.timing` → for how long messages are let collect [s]."""
 QUIET = 0.2
 """The recorder ends when nothing has arrived for this long [s] …"""
 DRAIN_LIMIT = 5.0
@@ -63,7 +65,9 @@ class RecorderNode(LoopNode):
                 'namespace': self.get_namespace()}
         self._writer = QueuedWriter(RunWriter(self._directory, info, {}))
         # Log times advance with the steady clock: a step of the wall clock must not reorder a run.
-        self._epoch_ns = time.time_ns() - time.monotonic_ns()
+        self._epoch_ns = _epoch()
+        self._shift_ns = 0
+        self._batch: list[tuple[int, str, bytes, int]] = []
         for name, channel in CHANNELS.items():
             topic = self.resolve_topic_name(name)
             qos = channel.qos
@@ -101,15 +105,28 @@ class RecorderNode(LoopNode):
 
     def _storer(self, name: str, topic: str) -> Store:
         """Return the callback that stores a topic's messages."""
-        put, epoch_ns = self._writer.put, self._epoch_ns
         is_event = name == 'events'
+        last_ns = 0
 
-        def store(payload: bytes, source_ns: int) -> None:
-            put(topic, payload, time.monotonic_ns() + epoch_ns, source_ns)
+        def store(payload: bytes, source_ns: int, received_ns: int) -> None:
+            nonlocal last_ns
+            # What was repaired came later than what it held up: a topic stays in its order.
+            last_ns = max((received_ns or time.time_ns()) + self._shift_ns, last_ns)
+            self._batch.append((last_ns, topic, payload, source_ns))
             if is_event:
                 self._keep_configuration(payload)
 
         return store
+
+    def _take(self, timeout: float) -> int:
+        """Wait for messages, hand over all that have come in the order of their coming."""
+        self._shift_ns = self._epoch_ns - _epoch()
+        taken = self._taker.take_all(timeout)
+        self._batch.sort(key=_log_time)
+        for log_ns, topic, payload, source_ns in self._batch:
+            self._writer.put(topic, payload, log_ns, source_ns)
+        self._batch.clear()
+        return taken
 
     def _keep_configuration(self, payload: bytes) -> None:
         """Store what a node says it runs with in the run's metadata as well."""
@@ -130,11 +147,10 @@ class RecorderNode(LoopNode):
 
     def run(self) -> None:
         """Record until told to end and nothing more arrives, or until the disk refuses."""
-        served = 0.0
+        served, collect = 0.0, LET_COLLECT[self.configuration.loop.timing]
         while not self.stopping and self._writer.error is None:
-            self._stored += self._taker.take_all(SPIN_LIMIT)
-            if self.lockstep:       # waking up costs more than taking; the loop needs the time
-                time.sleep(LET_COLLECT)
+            self._stored += self._take(SPIN_LIMIT)
+            time.sleep(collect)
             if time.monotonic() - served > SERVE:
                 self._executor.spin_once(timeout_sec=0.0)
                 served = time.monotonic()
@@ -142,7 +158,7 @@ class RecorderNode(LoopNode):
         if self._writer.error is not None:
             self._diagnosing.publish()
         give_up = time.monotonic() + DRAIN_LIMIT
-        while self._taker.take_all(QUIET) and time.monotonic() < give_up:
+        while self._take(QUIET) and time.monotonic() < give_up:
             pass
 
     def close(self) -> None:
@@ -161,3 +177,16 @@ class RecorderNode(LoopNode):
         super().close()
         if self._writer.error is not None:
             raise self._writer.error
+
+
+def _log_time(item: tuple[int, str, bytes, int]) -> int:
+    return item[0]
+
+
+def _epoch() -> int:
+    """Return the wall's time at zero of the steady clock [ns], read while nothing interrupts."""
+    found = []
+    for _ in range(3):
+        before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
+        found.append((after - before, wall - (before + after) // 2))
+    return min(found)[1]

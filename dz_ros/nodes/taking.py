@@ -15,8 +15,9 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
-Store = Callable[[bytes, int], None]
-"""Takes a message's bytes and its source time-stamp [ns since the epoch]."""
+Store = Callable[[bytes, int, int], None]
+"""Takes a message's bytes, when it was published and when it came [ns since the epoch]; the
+middleware took note of both, however late the message is taken."""
 
 
 class _ByHand(CallbackGroup):
@@ -72,7 +73,7 @@ class Taker:
                 continue
             handle, message_type = subscription.handle, subscription.msg_type
             while (found := handle.take_message(message_type, True)) is not None:
-                store(found[0], found[1]['source_timestamp'])
+                store(found[0], found[1]['source_timestamp'], found[1]['received_timestamp'])
                 taken += 1
         return taken
 

@@ -1,10 +1,11 @@
 """The trajectory generator as a node: the reference of the next sample, before it is needed.
 
-Publishes `reference`, subscribes `state` as its clock: when state k arrives it sends the reference
-for the stamp of sample k + 1, so the controller need not wait for it. The loop has one clock, the
-plant's; if states stop, so does the reference. In lockstep the references are sent many samples
-ahead, so that a step need not wait for a third process; a trajectory changed meanwhile is followed
-after those.
+Publishes `reference`, subscribes `state` as its clock: after state k it sends the reference for
+the stamp of sample k + 1, so the controller need not wait for it. It does so a third of a period
+later (``runtime/aside.py``): at once, it would keep the controller from the core it needs. The
+loop has one clock, the plant's; if states stop, so does the reference. In lockstep the references
+are sent many samples ahead, so that a step need not wait for a third process; a trajectory changed
+meanwhile is followed after those.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from dz_ros.core.records import Reference, State
 from dz_ros.core.safety.guards import SequenceGuard, Verdict
 from dz_ros.core.safety.health import Rejections, Report
 from dz_ros.nodes.managed import ManagedNode
+from dz_ros.runtime.aside import Aside
 
 CATCH_UP = 100
 """References of states that never came here are sent late, up to so many, to leave no gap."""
@@ -25,6 +27,8 @@ LET_COLLECT = 0.005
 """In lockstep, with references sent ahead, states are let collect for so long [s]."""
 LAST = 1e9
 """Stamps beyond this are none [s]."""
+SHORTEST, LONGEST = 0.002, 0.05
+"""In real time the next reference is made aside of the beat for periods within these [s]."""
 
 
 class TrajectoryNode(ManagedNode):
@@ -40,6 +44,8 @@ class TrajectoryNode(ManagedNode):
         loop = self.configuration.loop
         self._end = loop.samples + 1 if loop.duration > 0.0 else sys.maxsize
         self._rejections = Rejections()
+        self._aside = (Aside(self._period) if not self.lockstep
+                       and SHORTEST <= self._period <= LONGEST else None)
         self.watch_parameters()
 
     def report(self) -> Report:
@@ -69,24 +75,28 @@ class TrajectoryNode(ManagedNode):
         if not self._listening:
             self._listening = True
             self.take('state', State.labels(self._order), self._on_state)
-        if not self.lockstep:
-            return super().work()
-        while not self.halted:      # waking up costs more than answering; the loop needs the time
+        while not self.halted:
             self.spin()
-            time.sleep(LET_COLLECT)
-            for _ in range(AHEAD):
-                self.spin(0.0)
             self.diagnosing.look()
+            if self.lockstep:   # waking up costs more than answering; the loop needs the time
+                time.sleep(LET_COLLECT)
+                for _ in range(AHEAD):
+                    self.spin(0.0)
+            elif self._aside is not None:
+                self._aside.rest()
         return False
 
     def _on_state(self, numbers: tuple[float, ...]) -> None:
         """Send what is wanted by a state, and what was not sent before."""
+        now = time.monotonic()
         verdict = self._guard.judge(numbers, 0.0, resync=True)
         if not self.active or verdict not in (Verdict.TAKEN, Verdict.REPEATED):
             return
         state = State.from_numbers(numbers)
         if abs(state.stamp) > LAST:
             return
+        if self._aside is not None:
+            self._aside.heard(state.stamp, now)
         first, after = self._wanted(state.seq, verdict)
         sample = round(state.stamp / self._period)
         for seq in range(first, after):

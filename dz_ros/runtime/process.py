@@ -29,16 +29,20 @@ def end_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def settle() -> None:
+def settle(collect_garbage: bool = False) -> None:
     """Keep the garbage collector and the kernel's timer slack out of the loop.
 
     Objects made so far are frozen and automatic collection is off: a node makes no cycles per
     sample, so nothing accumulates. Timers then wake within a microsecond of their time instead of
     the default 50 (Linux; elsewhere nothing happens).
+
+    Args:
+        collect_garbage: True leaves automatic collection on, for what does make cycles.
     """
     gc.collect()
     gc.freeze()
-    gc.disable()
+    if not collect_garbage:
+        gc.disable()
     try:
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)
     except (AttributeError, OSError):

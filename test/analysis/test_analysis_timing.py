@@ -130,3 +130,18 @@ def test_timing_is_json(simulated, over_topics):
         found = json.loads(json.dumps(timing_of(run).to_dict(), allow_nan=False))
         assert found['period'] == 0.005
         assert found['topics']['state']['messages'] == 4001
+
+
+def test_transport_is_what_the_controller_did_not_hold(simulated, over_topics):
+    run = over_topics(simulated())
+    state = run.channels['state']
+    values = state.values.copy()
+    values[500, list(state.labels).index('round_trip')] = 2.2e-3
+    values[900, list(state.labels).index('round_trip')] = 7.2e-3
+    timing = timing_of(replace(run, channels={**run.channels, 'state': Channel(
+        state.labels, values, state.log_time, state.publish_time)}))
+    assert timing.latencies['transport'].p50 == pytest.approx(0.4e-3)
+    assert timing.latencies['transport'].maximum == pytest.approx(7.0e-3)
+    assert timing.late('round_trip') == (2, 1)
+    assert timing.late('hold') == (0, 0)
+    assert timing.to_dict()['latencies']['transport']['too_late'] == 1

@@ -258,3 +258,17 @@ def test_every_parameter_of_every_class_says_unit_and_meaning():
                 assert found.spec.description
                 assert found.spec.unit or found.kind in ('bool', 'str', 'strings')
                 schema.check_value(found, found.default, found.name)
+
+
+@pytest.mark.parametrize(('text', 'cores'), [
+    ('', set()), ('1', {1}), ('0,2-3', {0, 2, 3}), ('3-1', set())])
+def test_cores_are_read_as_taskset_reads_them(text, cores):
+    found = Configuration.from_flat({'process.cores': text})
+    assert found.process.core_numbers == cores
+    assert found.replace().process == found.process
+
+
+@pytest.mark.parametrize('text', ['a', '1,', '-1', '1--2', '99999', '1 2'])
+def test_cores_that_are_none_are_refused(text):
+    with pytest.raises(ConfigurationError, match=r'process\.cores'):
+        Configuration.from_flat({'process.cores': text})

@@ -179,7 +179,8 @@ class Law(ABC):
         v = self.kernel(constants, memory, reference.x_d, state.x, y, dt, new_memory, buffer)
         number = state.seq if seq is None else seq
         command = Command(number, state.stamp, v, state.seq, state.stamp)
-        terms = Terms(number, state.stamp, tuple(buffer[:STATUS]), dt,
-                      status | int(buffer[STATUS]), reference.seq, state.seq,
-                      tuple(buffer[STATUS + 1:]))
+        if buffer[STATUS]:      # joining flags costs as much as half a kernel
+            status |= int(buffer[STATUS])
+        terms = Terms(number, state.stamp, tuple(buffer[:STATUS]), dt, status, reference.seq,
+                      state.seq, tuple(buffer[STATUS + 1:]))
         return command, tuple(new_memory), terms

@@ -64,6 +64,12 @@ class SequenceGuard:
             resync: True where a sender may have started anew: any seq is then taken.
         """
         numbers = tuple(numbers)
+        last = self.last
+        if (last and numbers[0] == last[0] + 1.0 and numbers[0] < LARGEST_SEQ
+                and math.isfinite(sum(numbers))):
+            self.counts[0] += 1         # as it nearly always is; the rest says the same, slower
+            self.last = numbers
+            return Verdict.TAKEN
         verdict = self._verdict(numbers, resync)
         self.counts[verdict] += 1
         if verdict is Verdict.TAKEN:

@@ -58,10 +58,10 @@ class Report:
 
 
 def percentiles(values: Sequence[float], report: Report, label: str) -> None:
-    """Add p50, p99 and the largest of some times [s] in milliseconds."""
+    """Add p50, p99, p99.9 and the largest of some times [s] in milliseconds."""
     ordered = sorted(values)
     if ordered:
-        for name, share in (('p50', 0.5), ('p99', 0.99), ('max', 1.0)):
+        for name, share in (('p50', 0.5), ('p99', 0.99), ('p99.9', 0.999), ('max', 1.0)):
             place = min(len(ordered) - 1, int(share * len(ordered)))
             report.put(f'{label} {name} [ms]', ordered[place] * 1e3, '.3f')
 
@@ -128,8 +128,9 @@ class LawHealth:
         self._epsilon = getattr(law.gains, 'epsilon', 0.0) or 0.0
         names = law.signal_names
         self._epsilon_at = names.index('epsilon') if 'epsilon' in names else None
-        self._lambda = getattr(law.gains, 'lambda_', 0.0)
-        self._order = configuration.plant.order
+        self._ratio = 0.0       # bound of x̃ over ε
+        if getattr(law.gains, 'lambda_', 0.0) > 0.0:
+            self._ratio = guaranteed_bounds(law.gains.lambda_, 1.0, configuration.plant.order)[0]
 
     def _clear(self) -> None:
         self._samples = self._saturated = self._inside = 0
@@ -139,15 +140,15 @@ class LawHealth:
     def sample(self, v: float, terms: Terms, error: float) -> None:
         """Take note of a sample: command, terms of the law, x̃."""
         self._samples += 1
-        for item in self.freezes:
-            self.freezes[item] += bool(terms.status & item)
-        self._saturated += bool(terms.status & Status.SATURATED)
+        if terms.status:
+            for item in self.freezes:
+                self.freezes[item] += bool(terms.status & item)
+            self._saturated += bool(terms.status & Status.SATURATED)
         epsilon = self._epsilon if self._epsilon_at is None else terms.signals[self._epsilon_at]
         if epsilon > 0.0:
             self._layer = max(self._layer, abs(terms.values[0]) / epsilon)
-        if epsilon > 0.0 and self._lambda > 0.0:
-            bound = guaranteed_bounds(self._lambda, epsilon, self._order)[0]
-            self._inside += abs(error) <= bound
+            if self._ratio > 0.0:
+                self._inside += abs(error) <= self._ratio * epsilon
         self._error = max(self._error, abs(error))
         smooth = terms.values[4] + terms.values[5]
         if self._last is not None:
