@@ -122,6 +122,24 @@ class Watcher(Operator):
         heard = len(self.heard['state'])
         self.wait(lambda: len(self.heard['state']) > heard + samples)
 
+    def tracked(self, trajectory, bound, samples=600):
+        """Wait for so many samples in a row whose median error is below a bound.
+
+        A busy machine may hold any process for long, so only what lasts is judged.
+        """
+        def good():
+            recent = self.states[-samples:]
+            if len(recent) < samples:
+                return False
+            if recent[0][1] > 20.0 and 'fault' in {mode for mode, _ in self.modes().values()}:
+                self.recovered()
+            errors = sorted(abs(data[2] - trajectory(data[1])[0]) for data in recent)
+            travel = max(data[2] for data in recent) - min(data[2] for data in recent)
+            return errors[samples // 2] < bound and travel > 100.0 * bound
+
+        self.running()
+        self.wait(good, 2 * TIME_OUT)
+
     def recovered(self):
         """Reset what is in fault, the actuator first; return whether that was accepted."""
         return all(self.call(f'{name}/reset').success

@@ -290,13 +290,9 @@ def _shape(info: Info) -> tuple[object, ...]:
     return info.values, info.limit, info.command_scale, info.state_scales
 
 
-def _one_line(error: Exception) -> str:
-    return ' '.join(str(error).split()) or type(error).__name__
-
-
 def _why(error: Exception) -> str:
     """Return pyserial's complaint in few words."""
     known = {2: 'there is no such port', 13: 'permission denied: on many systems the group '
              'dialout may use serial ports', 16: 'in use by another program', 11: 'in use by '
              'another program'}
-    return known.get(getattr(error, 'errno', None) or 0, _one_line(error))
+    return known.get(getattr(error, 'errno', None) or 0, ' '.join(str(error).split()))
