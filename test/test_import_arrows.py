@@ -29,11 +29,12 @@ ARROWS = {
     'recording': LEAVES | READERS | {'core'},
     'analysis': LEAVES | {'core'},
     'studies': LEAVES | {'core', 'analysis'},
+    'identification': LEAVES | {'core', 'drivers', 'analysis', 'studies'},
     'live': LEAVES | {'core', 'analysis'},
     'runtime': LEAVES,
     'nodes': LEAVES | READERS | {'core', 'drivers', 'recording', 'live', 'runtime'},
     'cli': LEAVES | READERS | {'core', 'drivers', 'recording', 'analysis', 'studies', 'live',
-                                'runtime'},
+                               'identification', 'runtime'},
 }
 ROS = {'rclpy', 'std_msgs', 'std_srvs', 'rcl_interfaces', 'rosgraph_msgs', 'builtin_interfaces',
        'diagnostic_msgs', 'lifecycle_msgs', 'sensor_msgs', 'launch', 'launch_ros',

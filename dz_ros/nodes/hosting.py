@@ -146,7 +146,13 @@ class Hosting(GuardedNode):
     def reset(self) -> str:
         """Leave a latched mode, the device its trouble; return why not."""
         now = self._now()
-        return self._guard.held_by(now) or self._hosted.recover() or self._guard.reset(now)
+        heard = not self._hosted.trouble()
+        refused = self._guard.held_by(now, heard)
+        if not refused:
+            refused = self._hosted.recover() or self._guard.reset(now, heard)
+            if not self.supervisor.running:
+                self._hosted.safe(self._guard.output, now)      # whatever it did to recover
+        return refused
 
     def _now(self) -> float:
         """Return loop time now [s]; it stands still until the clock starts, and in lockstep."""

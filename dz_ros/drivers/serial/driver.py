@@ -78,6 +78,7 @@ class Serial(Driver):
     name = 'serial'
     summary = 'a microcontroller on a serial line (extra serial); docs/serial.md has the protocol'
     order = 0
+    requires = ('serial',)
     Parameters = SerialParameters
 
     def __init__(self, parameters: Any, configuration: Configuration) -> None:
