@@ -45,6 +45,7 @@ class Cia402(Driver):
     name = 'cia402'
     summary = 'servo drive on CANopen (CiA 402), torque or velocity'
     order = 0
+    requires = ('can', 'canopen')
     Parameters = Cia402Parameters
 
     def __init__(self, parameters: Any, configuration: Configuration) -> None:
