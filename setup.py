@@ -32,7 +32,7 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
         (f'share/{name}', ['package.xml']),
         (f'share/{name}/config', files('config/*.yaml', 'config/*.csv')),
-        (f'share/{name}/launch', files('launch/*.py')),
+        (f'share/{name}/launch', files('launch/*.py', 'launch/*.yaml')),
     ],
     zip_safe=False,
     python_requires='>=3.10',
