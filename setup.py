@@ -33,7 +33,7 @@ setup(
         (f'share/{name}', ['package.xml']),
         (f'share/{name}/config', files('config/*.yaml', 'config/*.csv')),
         (f'share/{name}/config/layouts', files('config/layouts/*')),
-        (f'share/{name}/launch', files('launch/*.py')),
+        (f'share/{name}/launch', files('launch/*.py', 'launch/*.yaml')),
     ],
     zip_safe=False,
     python_requires='>=3.10',

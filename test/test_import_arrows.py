@@ -37,7 +37,8 @@ ARROWS = {
                                'identification', 'runtime'},
 }
 ROS = {'rclpy', 'std_msgs', 'std_srvs', 'rcl_interfaces', 'rosgraph_msgs', 'builtin_interfaces',
-       'diagnostic_msgs', 'lifecycle_msgs', 'launch', 'launch_ros', 'ament_index_python'}
+       'diagnostic_msgs', 'lifecycle_msgs', 'sensor_msgs', 'launch', 'launch_ros',
+       'ament_index_python'}
 SLOW = {'matplotlib', 'scipy', 'rosbags', 'numba', 'pandas', 'pyarrow', 'dask',
         'distributed', 'serial', 'can', 'canopen', 'aiohttp', 'foxglove'}  # only inside functions
 OUTSIDE_WORLD = {'asyncio', 'ctypes', 'datetime', 'io', 'logging', 'multiprocessing', 'os',

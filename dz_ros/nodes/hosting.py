@@ -41,8 +41,7 @@ class Hosting(GuardedNode):
         self._period = self.configuration.loop.period
         self._hosted = HostedDriver(self.configuration)
         self._simulated = self._hosted.driver.lockstep
-        self._owns = [name for name, own in (('loop', True), ('plant', self._simulated),
-                                             ('driver', 'driver' in sections)) if own]
+        self._owns = ['loop', 'plant', *(name for name in ('driver',) if name in sections)]
         self._guard = ActuatorGuard(self.configuration.safety, self._period, not self.lockstep,
                                     self.changed)
         self._start_ns: int | None = None
