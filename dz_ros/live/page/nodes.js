@@ -64,14 +64,17 @@ export class Events {
 
   clear() {
     this.found = [];
+    this.lost = [];
     this.stated = new Set();
     this.list.replaceChildren();
   }
 
   add(event) {
     const [text, tint] = this.read(event);
-    this.found.push({...event, text, tint});
-    if (this.found.length > MOST) this.found.shift();
+    // What flickers must not push out of sight what somebody did.
+    const kept = event.mode === 'lost' ? this.lost : this.found;
+    if (tint !== '--grey') kept.push({...event, text, tint});
+    if (kept.length > MOST) kept.shift();
     if (event.event === 'configuration' && tint === '--grey' && this.stated.has(event.node)) return;
     this.stated.add(event.node);
     const stamp = `${event.stamp.toFixed(2)} s`;
@@ -92,8 +95,7 @@ export class Events {
   }
 
   marks() {
-    return this.found.filter(({event, tint, changed}) => tint !== '--grey'
-      && (event !== 'configuration' || Object.keys(changed || {}).length));
+    return [...this.found, ...this.lost];
   }
 
   read(event) {
