@@ -164,9 +164,9 @@ def measure(quick: bool = False, parts: tuple[str, ...] = PARTS, rounds: int = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if 'latency' in parts:
-            rows += latency(folder, rounds or (1 if quick else 3), quick)
+            rows += latency(folder, rounds or (1 if quick else 2), quick)
         if 'cpu' in parts:
-            rows += cpu(folder, rounds or (1 if quick else 3), quick)
+            rows += cpu(folder, rounds or (1 if quick else 2), quick)
         if 'rates' in parts:
             rows += rates(folder, quick)
         if 'soak' in parts and not quick:
