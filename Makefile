@@ -7,8 +7,8 @@ PYTEST_ARGS ?=
 bin := $(VENV)/bin
 environment = @$(PYTHON) tools/environment.py $(VENV)
 
-.PHONY: help demo test test-live lint types docs bench bench-quick bench-all bench-faults colcon wheel clean \
-  distclean
+.PHONY: help demo test test-live lint types docs pictures bench bench-quick bench-all bench-faults colcon \
+  wheel clean distclean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -38,6 +38,10 @@ types:  ## type annotations
 docs:  ## links, citations and the map of folders in the documents
 	$(environment)
 	$(bin)/python tools/check_docs.py
+
+pictures:  ## the pictures of the live page in README.md and docs/ (needs chromium)
+	$(environment) ros test numba
+	$(bin)/python tools/live_pictures.py
 
 bench:  ## every ratio of speed against its target, into docs/performance.md (half an hour, alone)
 	$(environment) ros test bench numba

@@ -32,7 +32,8 @@ setup(
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
         (f'share/{name}', ['package.xml']),
         (f'share/{name}/config', files('config/*.yaml', 'config/*.csv')),
-        (f'share/{name}/launch', files('launch/*.py')),
+        (f'share/{name}/config/layouts', files('config/layouts/*')),
+        (f'share/{name}/launch', files('launch/*.py', 'launch/*.yaml')),
     ],
     zip_safe=False,
     python_requires='>=3.10',
@@ -83,6 +84,7 @@ setup(
             'recorder_node = dz_ros.nodes.main:recorder_node',
             'replay_node = dz_ros.nodes.main:replay_node',
             'live_node = dz_ros.nodes.main:live_node',
+            'foxglove_node = dz_ros.nodes.main:foxglove_node',
         ],
     },
 )

@@ -9,10 +9,15 @@ The pictures do not hang on the machine, the speed does, and on what else it is 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager, ExitStack
+from importlib.util import find_spec
 import os
 from pathlib import Path
+import subprocess
 import sys
 import tempfile
+from threading import Thread
 import time
 
 from machine import describe
@@ -41,12 +46,8 @@ def main() -> int:
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         drawn = {name: study(name, Path(folder)) for name in STUDIES}
-        speed = [throughput(jobs, arguments.runs, Path(folder))
-                 for jobs in sorted({1, cores()})]
+        lines = speeds(arguments.runs, Path(folder))
     machine = describe('numba', 'numpy')
-    lines = ['| processes | runs of 20 s | runs per s | 100 000 runs |', '|---|---|---|---|',
-             *(f'| {jobs} | {arguments.runs} | {rate:.0f} | {WHOLE / rate / 60:.0f} min |'
-               for jobs, rate in speed)]
     print(machine, f'numba used: {available()}', *lines,
           *(picture.caption for picture in drawn.values()), sep='\n')
     if arguments.write:
@@ -62,16 +63,56 @@ def study(name: str, folder: Path) -> Picture:
     return pictures(read_sweep(file))[0]
 
 
-def throughput(jobs: int, runs: int, folder: Path) -> tuple[int, float]:
+def throughput(jobs: int, runs: int, folder: Path, cluster: str | None = None) -> float:
     """Return runs per second, compilation left out: the time between two lengths of a sweep."""
     times = []
     for count in (runs // 10, runs):
         plan = SweepPlan(base_configuration(20.0),
                          parse_axes([f'controller.epsilon=0.01:0.1:{count}']))
         begin = time.perf_counter()
-        run_sweep(plan, folder / f'speed-{jobs}-{count}.csv', jobs)
+        run_sweep(plan, folder / f'speed-{jobs}-{count}-{bool(cluster)}.csv', jobs, cluster)
         times.append(time.perf_counter() - begin)
-    return jobs, (runs - runs // 10) / (times[1] - times[0])
+    return (runs - runs // 10) / (times[1] - times[0])
+
+
+@contextmanager
+def cluster(workers: int) -> Iterator[str]:
+    """Start a scheduler and workers as processes; yield the scheduler's address."""
+    dask = [sys.executable, '-m', 'distributed.cli.dask_']
+    with ExitStack() as stack:
+
+        def start(kind: str, *words: str) -> str:
+            process = subprocess.Popen([*dask[:-1], dask[-1] + kind, *words], text=True,
+                                       stderr=subprocess.PIPE, cwd=ROOT,
+                                       env={**os.environ, 'PYTHONPATH': str(ROOT)})
+            stack.callback(process.wait)
+            stack.callback(process.terminate)
+            assert process.stderr is not None
+            for line in process.stderr:
+                if 'Scheduler at:' in line or 'Registered to' in line:
+                    Thread(target=process.stderr.read, daemon=True).start()
+                    return line.rpartition(' ')[2].strip()
+            raise SystemExit(f'dask {kind} did not start')
+
+        address = start('scheduler', '--host', '127.0.0.1', '--port', '0', '--no-dashboard')
+        for _ in range(workers):
+            start('worker', address, '--nthreads', '1', '--no-nanny', '--no-dashboard')
+        yield address
+
+
+def speeds(runs: int, folder: Path) -> list[str]:
+    """Return the rows of the table of speeds: processes here, workers of a cluster."""
+    found = {}
+    for count in sorted({1, cores()}):
+        found[f'{count} process{"es" * (count > 1)}'] = throughput(count, runs, folder)
+    if find_spec('distributed') is not None:
+        for count in sorted({1, cores()}):
+            with cluster(count) as address:
+                found[f'cluster, {count} worker{"s" * (count > 1)}'] = throughput(
+                    count, runs, folder, address)
+    return ['| on | runs of 20 s | runs per s | 100 000 runs at this rate |', '|---|---|---|---|',
+            *(f'| {name} | {runs} | {rate:.0f} | {WHOLE / rate / 60:.0f} min |'
+              for name, rate in found.items())]
 
 
 def write(machine: str, lines: list[str], drawn: dict[str, Picture]) -> None:
@@ -89,9 +130,8 @@ def write(machine: str, lines: list[str], drawn: dict[str, Picture]) -> None:
             f'![{drawn["chatter"].alt}](images/sweep_chatter.png)', '',
             drawn['chatter'].caption, '', '## How fast', '', *lines, '',
             'Compiled by numba, four RK4 steps a sample, metrics included; compiling, some '
-            f'seconds in each process, left out. Measured on {machine}, which did other work '
-            f'meanwhile: load average {os.getloadavg()[1]:.1f} over five minutes on {cores()} '
-            'cores, so the step from one process to more is smaller than on an idle machine.', '']
+            f'seconds in each process, left out. Measured on {machine}; load average '
+            f'{os.getloadavg()[0]:.1f} on {cores()} cores at the end.', '']
     (ROOT / 'docs' / 'sweeps.md').write_text('\n'.join(text), encoding='utf-8')
 
 

@@ -3,6 +3,7 @@
 ros2 launch dz_ros closed_loop.launch.py
 ros2 launch dz_ros closed_loop.launch.py config:=/path/to/file.yaml duration:=60.0
 ros2 launch dz_ros closed_loop.launch.py record:=/path/to/new_run namespace:=left_valve
+ros2 launch dz_ros closed_loop.launch.py driver:=cia402
 """
 
 from pathlib import Path
@@ -25,8 +26,13 @@ def nodes(context):
     duration = LaunchConfiguration('duration').perform(context)
     record = LaunchConfiguration('record').perform(context)
     namespace = LaunchConfiguration('namespace').perform(context)
+    driver = LaunchConfiguration('driver').perform(context)
 
     settings = {'loop.peers': PEERS + (['recorder_node'] if record else [])}
+    peers = PEERS
+    if driver:
+        settings['driver.name'] = driver
+        peers = ['actuator_node', *PEERS[1:]]
     if duration:
         try:
             settings['loop.duration'] = float(duration)
@@ -37,7 +43,7 @@ def nodes(context):
         return Node(package='dz_ros', executable=name, name=name, namespace=namespace,
                     output='screen', parameters=[config, {**settings, **extra}])
 
-    started = {name: node(name) for name in PEERS}
+    started = {name: node(name) for name in peers}
     if record:
         started['recorder_node'] = node('recorder_node', directory=str(Path(record).absolute()))
     # The plant is the loop's clock: when it has ended, the run is over. When another node has
@@ -72,5 +78,8 @@ def generate_launch_description():
                                           'empty = no recording'),
         DeclareLaunchArgument('namespace', default_value='',
                               description='ROS namespace of the loop'),
+        DeclareLaunchArgument('driver', default_value='',
+                              description='driver of the actuator, see dz driver list; '
+                                          'empty = the simulated one'),
         OpaqueFunction(function=nodes),
     ])

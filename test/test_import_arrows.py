@@ -29,14 +29,16 @@ ARROWS = {
     'recording': LEAVES | READERS | {'core'},
     'analysis': LEAVES | {'core'},
     'studies': LEAVES | {'core', 'analysis'},
+    'identification': LEAVES | {'core', 'drivers', 'analysis', 'studies'},
     'live': LEAVES | {'core', 'analysis'},
     'runtime': LEAVES,
     'nodes': LEAVES | READERS | {'core', 'drivers', 'recording', 'live', 'runtime'},
     'cli': LEAVES | READERS | {'core', 'drivers', 'recording', 'analysis', 'studies', 'live',
-                                'runtime'},
+                               'identification', 'runtime'},
 }
 ROS = {'rclpy', 'std_msgs', 'std_srvs', 'rcl_interfaces', 'rosgraph_msgs', 'builtin_interfaces',
-       'diagnostic_msgs', 'lifecycle_msgs', 'launch', 'launch_ros', 'ament_index_python'}
+       'diagnostic_msgs', 'lifecycle_msgs', 'sensor_msgs', 'launch', 'launch_ros',
+       'ament_index_python'}
 SLOW = {'matplotlib', 'scipy', 'rosbags', 'numba', 'pandas', 'pyarrow', 'dask',
         'distributed', 'serial', 'can', 'canopen', 'aiohttp', 'foxglove'}  # only inside functions
 OUTSIDE_WORLD = {'asyncio', 'ctypes', 'datetime', 'io', 'logging', 'multiprocessing', 'os',

@@ -84,6 +84,13 @@ def test_arguments_reach_every_node(launch_file, tmp_path):
     assert nodes['recorder_node']['parameters'][1]['directory'] == str(Path('relative').absolute())
 
 
+def test_a_driver_is_hosted_in_the_plant_s_place(launch_file):
+    nodes = started(launch_file, driver='mock')
+    assert list(nodes) == ['actuator_node', *PEERS[1:]]
+    for node in nodes.values():
+        assert node['parameters'][1] == {'loop.peers': PEERS, 'driver.name': 'mock'}
+
+
 @pytest.mark.parametrize('given', [{'duration': 'long'}, {'config': 'none_of_that_name'}])
 def test_mistakes_are_named(launch_file, given):
     ((key, value),) = given.items()

@@ -37,6 +37,7 @@ IMPORTED = {
     'rosbags': ('rosbags', 'python3-rosbags-pip'),
     'rosgraph_msgs': ('ros-rclpy', 'rosgraph_msgs'),
     'scipy': ('scipy', 'python3-scipy'),
+    'sensor_msgs': ('ros-common-interfaces', 'sensor_msgs'),
     'std_msgs': ('ros-common-interfaces', 'std_msgs'),
     'std_srvs': ('ros-common-interfaces', 'std_srvs'),
     'yaml': ('pyyaml', 'python3-yaml'),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from dz_ros.core.loop import Run
 from dz_ros.core.plants import PLANTS
 from dz_ros.errors import ConfigurationError, RecordingError
 
+KICK = 'plant.kick'
 ZONE = ('m_r', 'm_l', 'b_r', 'b_l')
 """Parameters of the dead-zone a plant model needs."""
 
@@ -57,14 +59,34 @@ def is_simulated(run: RunData) -> bool:
 
 
 def base_configuration(run: RunData) -> dict[str, Any]:
-    """Return the dotted keys a run began with: each node's own, the first time it stated them."""
+    """Return the dotted keys a run began with: each node's own, the first time it stated them.
+
+    A kick says itself when it is, so the only one of a run holds for it whenever it was stated.
+    """
     flat = known(run.configuration)
     for section in SECTIONS:
         stated = owners(run, section)
         if stated:
             flat.update({key: value for key, value in stated[0][2]['configuration'].items()
                          if key.partition('.')[0] == section})
+    kicks = _kicks(run)
+    if len(kicks) == 1:
+        flat[KICK] = list(kicks[0])
     return flat
+
+
+def _kicks(run: RunData) -> list[tuple[float, ...]]:
+    """Return the different kicks that a run's plant was given, in order."""
+    stated = [item[2]['configuration'].get(KICK) for item in owners(run, 'plant')]
+    return list(dict.fromkeys(tuple(kick) for kick in stated
+                              if isinstance(kick, list) and len(kick) == 3 and kick[1] != 0.0))
+
+
+def _plant_changes(run: RunData) -> list[str]:
+    """Return the keys of the simulated plant that changed while the run went on."""
+    stated = [known(item[2]['configuration']) for item in owners(run, 'plant')]
+    return sorted({key for before, after in pairwise(stated) for key, value in after.items()
+                   if key.startswith('plant.') and key != KICK and before.get(key) != value})
 
 
 def plan(run: RunData, overrides: Mapping[str, Any], *, given: Mapping[str, Any] | None = None,
@@ -204,6 +226,13 @@ def _notes(run: RunData, chosen: Configuration, overrides: Mapping[str, Any]) ->
     if changes:
         notes.append('the gain changes of the recorded run are not repeated: seq '
                      + ', '.join(map(str, changes)))
+    moved = _plant_changes(run)
+    if moved:
+        notes.append('the changes of the plant in the recorded run are not repeated: '
+                     + ', '.join(moved))
+    if len(_kicks(run)) > 1:
+        notes.append(f'of {len(_kicks(run))} kicks in the recorded run none that was given while '
+                     'it went on is repeated')
     trip = run.channels['state']['round_trip']
     trip = trip[trip > 0.0]
     if len(trip):

@@ -6,10 +6,13 @@ import argparse
 from collections.abc import Iterator
 from importlib.util import find_spec
 import json
+import textwrap
 from typing import Any
 
 from dz_ros.core.driver import Driver, DRIVERS
 from dz_ros.errors import DzRosError
+
+WIDTH = 88
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -59,7 +62,7 @@ def _details(row: dict[str, Any]) -> Iterator[str]:
     kind = ', simulated' if row['simulated'] else ''
     yield f'{order}, units {row["units"]}{kind}; {row["from"]}'
     if row['parameters']:
-        yield ' '.join(row['parameters'])
+        yield from textwrap.wrap(' '.join(row['parameters']), WIDTH)
     if row['missing']:
         yield f'cannot be opened here: {", ".join(row["missing"])} is not installed'
 

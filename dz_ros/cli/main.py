@@ -46,6 +46,8 @@ VERBS = {
     ('arena',): Verb('arena', 'compare every law in every scenario'),
     ('sweep',): Verb('sweep', 'run thousands of loops over keys of a configuration; draw them'),
     ('tune',): Verb('tune', 'propose gains from bounds, rate, delay and effort'),
+    ('driver', 'identify'): Verb('driver_identify', 'move a device to find its dead-zone, or read '
+                                 'it from a run'),
     ('driver', 'emulate'): Verb('driver_emulate', 'be a device, to try its driver without it'),
     ('report',): Verb('report', "make a run's report: figures, timing, table of metrics"),
     ('list',): Verb('listing', 'list plants, laws, trajectories or configurations'),

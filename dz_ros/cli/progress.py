@@ -12,12 +12,14 @@ class Progress:
     Args:
         total: Runs in all.
         quiet: Say nothing.
+        what: What there are `total` of.
     """
 
     INTERVAL = 5.0
     """Between two lines where there is no terminal [s]."""
 
-    def __init__(self, total: int, quiet: bool = False) -> None:
+    def __init__(self, total: int, quiet: bool = False, what: str = 'runs') -> None:
+        self._what = what
         self._total = total
         self._quiet = quiet
         self._begin = time.monotonic()
@@ -38,7 +40,8 @@ class Progress:
         if self._quiet or not (terminal or last or now - self._shown >= self.INTERVAL):
             return
         self._shown = now
-        line = f'{done} of {total} runs, {self._left(done, now)}{f" ({what})" if what else ""}'
+        line = f'{done} of {total} {self._what}, {self._left(done, now)}'
+        line += f' ({what})' if what else ''
         if terminal:
             print('\r' + line.ljust(self._width), end='\n' if last else '', file=sys.stderr,
                   flush=True)

@@ -27,10 +27,10 @@ from dz_ros.files import write_parameters
 from dz_ros.runtime.claim import claim, ClaimedError, domain, domain_topic
 
 ORDER = (('plant_node', 'actuator_node'), ('trajectory_node', 'controller_node'),
-         ('recorder_node',), ('live_node',))
+         ('recorder_node',), ('live_node', 'foxglove_node'))
 """The order in which nodes are ended: whoever drives the loop first, whoever looks at it last."""
-LOOKING = 'live_node'
-"""The node that the loop can do without."""
+LOOKING = {'live_node': 'the live page', 'foxglove_node': 'the server for Foxglove'}
+"""Nodes that the loop can do without."""
 START_LIMIT = 60.0
 """The loop must have its first sample within this time [s]."""
 
@@ -49,6 +49,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--live', action='store_true',
                         help='show the loop in the browser: a page whose address is printed')
     add_address(parser)
+    parser.add_argument('--foxglove', action='store_true',
+                        help='serve the topics to Foxglove or Lichtblick, ws://127.0.0.1:8765')
     parser.add_argument('--read-only', action='store_true',
                         help='the page can be looked at, nobody can act on the loop')
 
@@ -130,7 +132,10 @@ class _Loop:
             page = parameters.with_name('page.yaml')
             write_node_parameters(page, {'host': arguments.host, 'port': arguments.port,
                                          'read_only': arguments.read_only})
-            self._arguments = {LOOKING: [*common, '--params-file', str(page)], **self._arguments}
+            self._arguments = {'live_node': [*common, '--params-file', str(page)],
+                               **self._arguments}
+        if arguments.foxglove:
+            self._arguments = {'foxglove_node': common, **self._arguments}
 
     def run(self) -> int:
         """Start everything, wait for the actuator's host, end everything in order."""
@@ -210,10 +215,10 @@ class _Loop:
                 code = process.poll()
                 if code is None or (code == 0 and name == self._actuator):
                     continue
-                if name == LOOKING:
+                if name in LOOKING:
                     if name not in self._missed:
                         self._missed.add(name)
-                        self._say(f'dz: note: the live page has ended ({_meaning(code)}); the '
+                        self._say(f'dz: note: {LOOKING[name]} has ended ({_meaning(code)}); the '
                                   'loop goes on')
                     continue
                 self._failed[name] = code
@@ -237,7 +242,7 @@ class _Loop:
                 except subprocess.TimeoutExpired:
                     process.kill()
                     code = process.wait()
-                if code not in (0, -signal.SIGINT) and name != LOOKING:
+                if code not in (0, -signal.SIGINT) and name not in LOOKING:
                     self._failed.setdefault(name, code)
         for reader in self._readers:
             reader.join(1.0)

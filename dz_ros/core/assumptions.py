@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from dz_ros.core.along_reference import largest_derivatives
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.finding import Finding, INFO, WARNING
 from dz_ros.core.laws.base import Design
@@ -72,9 +73,7 @@ def _plant(c: Configuration) -> Iterator[Finding]:
 
 def _reference(c: Configuration) -> Iterator[Finding]:
     """x_d … x_d^(n) exist and are bounded."""
-    span = c.loop.duration or 60.0
-    values = [c.trajectory(span * k / 2000.0) for k in range(2001)]
-    largest = [max(abs(value[i]) for value in values) for i in range(c.plant.order + 1)]
+    largest = largest_derivatives(c)
     yield Finding(INFO, 'reference', f'holds: {c.trajectory.name} gives x_d and its '
                   f'{c.plant.order} derivatives in closed form; the largest: '
                   + ', '.join(f'{item:.4g}' for item in largest),

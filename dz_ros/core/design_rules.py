@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 import math
 
+from dz_ros.core.along_reference import disturbance_along_reference
 from dz_ros.core.assumptions import check_assumptions, check_projection
 from dz_ros.core.boundary_layer import critical_epsilon, largest_beta
 from dz_ros.core.configuration import Configuration
@@ -44,18 +45,6 @@ def least_robust_gain(bound: float, m_min: float, b_min: float = 1.0, disturbanc
         reserve: Authority ρ_I of an integral [actuator unit].
     """
     return bound / m_min + disturbance / (b_min * m_min) + reserve
-
-
-def disturbance_along_reference(configuration: Configuration) -> float:
-    """Return the largest |disturbance| of the plant's model on the reference [unit of x^(n)].
-
-    Looked at every 0.01 s over the duration of a run, or a minute where it has none.
-    """
-    plant, trajectory = configuration.plant, configuration.trajectory
-    constants = plant.constants
-    steps = round(100.0 * (configuration.loop.duration or 60.0))
-    return max(abs(plant.disturbance(t, trajectory(t)[:plant.order], constants))
-               for t in (0.01 * k for k in range(steps + 1)))
 
 
 def check(configuration: Configuration, disturbance: float | None = None,

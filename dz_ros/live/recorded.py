@@ -113,8 +113,8 @@ class Recorded(Source):
                 'minutes': 0, 'namespace': ''}
 
     def now(self) -> list[dict[str, Any]]:
-        """Return the events of the first run."""
-        return self._events
+        """Return the events of the first run, in one text however many they are."""
+        return [{'kind': 'events', 'events': self._events}]
 
     async def ask(self, request: dict[str, Any]) -> bytes:
         """Return the rows of a run between two instants, thinned where they are many.

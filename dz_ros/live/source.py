@@ -22,7 +22,7 @@ class Source(ABC):
         """Return what a page must know first: columns, units, parameters, what it may do."""
 
     def now(self) -> list[dict[str, Any]]:
-        """Return what a viewer that has just come must know besides: state, events so far."""
+        """Return the few texts that tell a viewer who has just come of state and events."""
         return []
 
     def estop(self, who: str) -> dict[str, Any]:

@@ -41,8 +41,7 @@ class Hosting(GuardedNode):
         self._period = self.configuration.loop.period
         self._hosted = HostedDriver(self.configuration)
         self._simulated = self._hosted.driver.lockstep
-        self._owns = [name for name, own in (('loop', True), ('plant', self._simulated),
-                                             ('driver', 'driver' in sections)) if own]
+        self._owns = ['loop', 'plant', *(name for name in ('driver',) if name in sections)]
         self._guard = ActuatorGuard(self.configuration.safety, self._period, not self.lockstep,
                                     self.changed)
         self._start_ns: int | None = None
@@ -147,7 +146,13 @@ class Hosting(GuardedNode):
     def reset(self) -> str:
         """Leave a latched mode, the device its trouble; return why not."""
         now = self._now()
-        return self._guard.held_by(now) or self._hosted.recover() or self._guard.reset(now)
+        heard = not self._hosted.trouble()
+        refused = self._guard.held_by(now, heard)
+        if not refused:
+            refused = self._hosted.recover() or self._guard.reset(now, heard)
+            if not self.supervisor.running:
+                self._hosted.safe(self._guard.output, now)      # whatever it did to recover
+        return refused
 
     def _now(self) -> float:
         """Return loop time now [s]; it stands still until the clock starts, and in lockstep."""

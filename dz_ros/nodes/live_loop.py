@@ -32,9 +32,10 @@ KEPT = 300
 """Events kept for viewers that come later."""
 DEPTH = 1000
 RECORDER = 'recorder_node'
-_LISTEN = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=DEPTH,
-                     reliability=ReliabilityPolicy.BEST_EFFORT,
-                     durability=DurabilityPolicy.VOLATILE)
+LISTEN = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=DEPTH,
+                    reliability=ReliabilityPolicy.BEST_EFFORT,
+                    durability=DurabilityPolicy.VOLATILE)
+"""What somebody asks for who only looks: nothing is waited for or sent again."""
 
 
 class LiveLoop(Source):
@@ -73,7 +74,7 @@ class LiveLoop(Source):
         self._taker = Taker(node)
         for name in CHANNELS:
             self._taker.subscribe(topics.TYPES[name], node.resolve_topic_name(name),
-                                  topics.everything(name) if name == EVENTS else _LISTEN,
+                                  topics.everything(name) if name == EVENTS else LISTEN,
                                   self._taking(name))
         node.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 50)
 
@@ -211,8 +212,8 @@ class LiveLoop(Source):
                 'signals': list(self.layout.signals), 'rate': 200.0, **facts(self.configuration)}
 
     def now(self) -> list[dict[str, Any]]:
-        """Return the state of the nodes and the events so far."""
-        return [self.status(time.monotonic()), *self._events]
+        """Return the state of the nodes and the events so far, these in one text."""
+        return [self.status(time.monotonic()), {'kind': 'events', 'events': list(self._events)}]
 
     def news(self) -> list[dict[str, Any]]:
         """Return what has happened since the last time."""

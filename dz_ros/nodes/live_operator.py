@@ -164,9 +164,7 @@ class LiveOperator:
         if c is None:
             raise LoopError('the loop has not said what it runs')
         section, found = checked(c, values)
-        owner = self._loop.owners.get(section)
-        if owner is None:
-            raise LoopError(f'no node has said that the section {section} is its own')
+        owner = self._loop.owners.get(section, f'{self._namespace}/{section}_node')
         request = SetParametersAtomically.Request(parameters=[
             Parameter(key, _TYPES[kind], list(value) if isinstance(value, tuple) else value)
             .to_parameter_msg() for key, (kind, value) in found.items()])

@@ -24,7 +24,8 @@ NODES = {'plant_node': 'PlantNode', 'actuator_node': 'ActuatorNode',
          'controller_node': 'ControllerNode',
          'trajectory_node': 'TrajectoryNode', 'recorder_node': 'RecorderNode',
          'replay_node': 'ReplayNode', 'feed_node': 'FeedNode',
-         'operator_node': 'OperatorNode', 'check_node': 'CheckNode', 'live_node': 'LiveNode'}
+         'operator_node': 'OperatorNode', 'check_node': 'CheckNode', 'live_node': 'LiveNode',
+         'foxglove_node': 'FoxgloveNode'}
 """Executable → class in the module of the same name."""
 PRIORITY = {'plant_node': 0, 'actuator_node': 0, 'controller_node': 0, 'trajectory_node': -1}
 """Node that may be set up by the section `process` → its priority less `process.priority`."""
@@ -150,6 +151,11 @@ def recorder_node() -> int:
 def replay_node() -> int:
     """Run the player of a recorded run."""
     return run_node('replay_node')
+
+
+def foxglove_node() -> int:
+    """Run the server for Foxglove and Lichtblick."""
+    return run_node('foxglove_node')
 
 
 def live_node() -> int:

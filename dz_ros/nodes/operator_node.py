@@ -1,7 +1,8 @@
 """What the command line asks of a running loop: watch it, stop it, reset it.
 
 Writes JSON lines on standard output for ``dz status``, ``dz estop`` and ``dz reset``, so that all
-three work where the ``ros2`` command, which can do the same, is not installed.
+three work where the ``ros2`` command, which can do the same, is not installed. ``listen`` says
+when the e-stop is pressed, for what drives a device without a loop.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ from dz_ros.nodes.topics import STANDS_FOR
 ENDS = ('plant_node', 'controller_node')
 """Nodes with a reset service, the one at the actuator first: the law must not start before the
 actuator listens. Where another node stands for one of them, it is that one."""
-TASKS = ('status', 'estop', 'reset')
+TASKS = ('status', 'estop', 'reset', 'listen')
 
 
 class OperatorNode(Node):
-    """Does one task: `status` until told to end, `estop` or `reset` once.
+    """Does one task: `status` or `listen` until told to end, `estop` or `reset` once.
 
     Attributes:
         stopping: True once a signal asked the node to end.
@@ -45,7 +46,7 @@ class OperatorNode(Node):
             return self.declare_parameter(name, default, ParameterDescriptor(
                 read_only=True, description=description)).value
 
-        self._task = given('task', 'status', 'status, estop or reset')
+        self._task = given('task', 'status', ' or '.join((', '.join(TASKS[:-1]), TASKS[-1])))
         self._patience = given('patience', 5.0, 'how long to wait for the loop [s]')
         self._nodes = [name for name in given('nodes', list(ENDS), 'nodes to stop or reset')
                        if name]
@@ -60,6 +61,12 @@ class OperatorNode(Node):
         """
         if self._task == 'status':
             self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 50)
+            while not self.stopping:
+                self._executor.spin_once(timeout_sec=0.1)
+            return
+        if self._task == 'listen':
+            self.create_subscription(Bool, 'estop', self._on_estop, LATCHED)
+            self._write({'listening': True})
             while not self.stopping:
                 self._executor.spin_once(timeout_sec=0.1)
             return
@@ -114,6 +121,9 @@ class OperatorNode(Node):
             raise LoopError(f'no {clients[0].srv_name} within {self._patience:g} s: is the loop '
                             'running in this ROS_DOMAIN_ID and namespace?')
         return clients[found], names[found]
+
+    def _on_estop(self, message: Any) -> None:
+        self._write({'pressed': bool(message.data)})
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:

@@ -21,10 +21,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from dz_ros.core.along_reference import disturbance_along_reference
 from dz_ros.core.boundary_layer import chatter_limit
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.deadzone import rho
-from dz_ros.core.design_rules import disturbance_along_reference, least_robust_gain
+from dz_ros.core.design_rules import least_robust_gain
 from dz_ros.core.schema import fields
 from dz_ros.core.stability import lambda_limit
 from dz_ros.core.tracking import feed_forward_weights

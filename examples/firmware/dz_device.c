@@ -180,7 +180,7 @@ static void take(struct dz_device *device, const uint8_t *body, uint32_t now_us)
             device->fault = 0;
             enter(device, DZ_DISABLED, 0);  /* a fault that lasts is back before the next state */
         }
-    } else if (request == DZ_ASK_RUN) {
+    } else if (request == DZ_ASK_RUN && device->mode != DZ_DISABLED) {
         enter(device, DZ_RUN, clip(device, get_signed(body + 10)));
     } else if (request == DZ_ASK_SAFE) {
         enter(device, DZ_SAFE, 0);

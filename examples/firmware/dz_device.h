@@ -1,7 +1,7 @@
 /* The device's side of dz_ros' serial protocol, version 1, for a microcontroller.
  *
  * Portable C99: fixed-width integers, 8-bit bytes, no allocation, no clock, no global; any byte
- * order and alignment. docs/drivers.md says what travels; dz_ros/drivers/serial/device.py is the
+ * order and alignment. docs/serial.md says what travels; dz_ros/drivers/serial/device.py is the
  * same machine in Python. Hardware is reached through the four functions of struct dz_hardware.
  *
  *     static struct dz_device device;
@@ -13,6 +13,10 @@
 
 #include <stddef.h>
 #include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
 
 #define DZ_VERSION 1
 #define DZ_MAX_VALUES 4
@@ -72,5 +76,9 @@ uint32_t dz_crc32(const uint8_t *data, size_t size);
 size_t dz_cobs_encode(const uint8_t *data, size_t size, uint8_t *line);
 /* Return the length of the data, or SIZE_MAX where the line is not COBS. In place is allowed. */
 size_t dz_cobs_decode(const uint8_t *line, size_t size, uint8_t *data);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -175,3 +175,27 @@ def test_logs_that_cannot_be_asked(run, change, error):
 def test_unknown_key(run):
     with pytest.raises(ConfigurationError, match=r'controller\.gama'):
         plan(run, {'controller.gama': 1.0})
+
+
+def with_plant_events(run, *configurations):
+    return replace(run, events=tuple(event(['loop', 'plant'], item, seq=100 * number)
+                                     for number, item in enumerate(configurations)))
+
+
+def test_a_kick_given_while_the_loop_ran_is_part_of_the_run(configuration):
+    kicked = configuration.replace(**{'plant.kick': [1.5, 20.0, 0.05]})
+    recorded = with_plant_events(from_run(simulate(kicked)), configuration, kicked)
+    planned, made = ask(recorded, {})
+    assert planned.configuration.plant_settings.kick == (1.5, 20.0, 0.05)
+    assert same(recorded, made)
+    assert not any('kick' in note for note in planned.notes)
+
+
+def test_what_of_the_plant_s_changes_is_not_repeated_is_said(run, configuration):
+    first = configuration.replace(**{'plant.kick': [1.0, 20.0, 0.05]})
+    second = first.replace(**{'plant.kick': [2.0, -5.0, 0.05], 'plant.dead_zone.b_r': 0.3})
+    planned, _ = ask(with_plant_events(run, configuration, first, second), {})
+    assert planned.configuration.plant_settings.kick[1] == 0.0
+    notes = ' '.join(planned.notes)
+    assert 'plant in the recorded run are not repeated: plant.dead_zone.b_r' in notes
+    assert 'of 2 kicks' in notes

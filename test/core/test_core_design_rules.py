@@ -6,8 +6,10 @@ import math
 
 import pytest
 
+from dz_ros.core import along_reference
+from dz_ros.core.along_reference import disturbance_along_reference, largest_derivatives
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.design_rules import check, disturbance_along_reference, least_robust_gain
+from dz_ros.core.design_rules import check, least_robust_gain
 from dz_ros.core.finding import ERROR, Finding, INFO, WARNING, worst
 from dz_ros.core.laws import LAWS
 from dz_ros.core.laws.pd import Pd
@@ -194,3 +196,28 @@ def test_projection_cures_it():
 def test_a_hopeless_loop_has_no_stable_lambda():
     hopeless = configuration(controller__k_d=5000.0, loop__delay=3, plant__x0=[-2.5, 200.0])
     assert lambda_limit(hopeless, duration=1.0) == 0.0
+
+
+def test_a_reference_is_followed_once_and_asked_again_for_nothing(monkeypatch):
+    followed = []
+    monkeypatch.setattr(along_reference, '_known', along_reference.OrderedDict())
+    sinusoid = type(configuration().trajectory)
+    evaluate = sinusoid.evaluate
+
+    def counted(t, p, x_d):
+        followed.append(t)
+        evaluate(t, p, x_d)
+
+    monkeypatch.setattr(sinusoid, 'evaluate', staticmethod(counted))
+    first = check(configuration())
+    once = len(followed)
+    assert once > 1000
+    check(configuration(controller__k_d=11.0))      # a gain set while the loop runs
+    assert len(followed) == once
+    assert check(configuration()) == first
+    moved = configuration(trajectory__frequency=2.0)
+    assert largest_derivatives(moved) == pytest.approx((2.5, 5.0, 10.0), rel=1e-3)
+    assert len(followed) > once
+    again = len(followed)
+    disturbance_along_reference(configuration(plant__a3=0.5))
+    assert len(followed) > again

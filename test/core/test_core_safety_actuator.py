@@ -98,6 +98,20 @@ def test_reset_needs_a_fresh_command_and_a_released_button():
     assert actuator.send(2.0, t=10.0 + T) == 2.0
 
 
+def test_after_trouble_of_the_device_nobody_could_have_answered():
+    actuator = Actuator()
+    actuator.send(2.0)
+    actuator.guard.fault('the drive has restarted', T)
+    assert 'no command' in actuator.guard.held_by(10.0)
+    assert actuator.guard.held_by(10.0, heard=False) == ''
+    actuator.guard.estop(10.0)
+    assert 'pressed' in actuator.guard.reset(10.0, heard=False)
+    actuator.guard.estop(10.0, pressed=False)
+    assert actuator.guard.reset(10.0, heard=False) == ''
+    assert actuator.mode is Mode.WAITING    # safe until a command comes
+    assert actuator.guard.output == 0.0
+
+
 def test_an_orderly_end_is_no_fault():
     actuator = Actuator()
     actuator.send(2.0)

@@ -34,11 +34,20 @@ class Bench:
 
 
 @pytest.fixture
-def bench():
+def cold():
+    """A device that has been greeted, without power."""
     made = Bench()
     info, *_ = made.step(Hello(SESSION, 1000))
     assert info == Info(SESSION, *list(vars(INFO).values())[1:])
     return made
+
+
+@pytest.fixture
+def bench(cold):
+    """A device with power."""
+    (state,) = cold.ask(Request.SAFE, 2 ** 32 - 1000)
+    assert state.mode is Mode.SAFE
+    return cold
 
 
 def test_before_a_greeting_it_says_so_and_takes_nothing():
@@ -50,25 +59,27 @@ def test_before_a_greeting_it_says_so_and_takes_nothing():
 
 
 @pytest.mark.parametrize(('path', 'mode', 'actuated'), [
-    ((Request.RUN,), Mode.RUN, 7),
+    ((Request.RUN,), Mode.DISABLED, None),
     ((Request.SAFE,), Mode.SAFE, -2),
     ((Request.SAFE, Request.RUN), Mode.RUN, 7),
-    ((Request.RUN, Request.SAFE), Mode.SAFE, -2),
-    ((Request.RUN, Request.DISABLE), Mode.DISABLED, None),
+    ((Request.SAFE, Request.RUN, Request.SAFE), Mode.SAFE, -2),
+    ((Request.SAFE, Request.RUN, Request.DISABLE), Mode.DISABLED, None),
+    ((Request.SAFE, Request.DISABLE, Request.RUN), Mode.DISABLED, None),
     ((Request.SAFE, Request.DISABLE), Mode.DISABLED, None),
-    ((Request.RUN, Request.ESTOP), Mode.ESTOP, None),
+    ((Request.SAFE, Request.RUN, Request.ESTOP), Mode.ESTOP, None),
     ((Request.ESTOP, Request.RUN), Mode.ESTOP, None),
     ((Request.ESTOP, Request.SAFE), Mode.ESTOP, None),
     ((Request.ESTOP, Request.DISABLE), Mode.ESTOP, None),
     ((Request.ESTOP, Request.RESET), Mode.DISABLED, None),
-    ((Request.RUN, Request.RESET), Mode.RUN, 7),
-    ((Request.ESTOP, Request.RESET, Request.RUN), Mode.RUN, 7),
+    ((Request.SAFE, Request.RUN, Request.RESET), Mode.RUN, 7),
+    ((Request.ESTOP, Request.RESET, Request.RUN), Mode.DISABLED, None),
+    ((Request.ESTOP, Request.RESET, Request.SAFE, Request.RUN), Mode.RUN, 7),
 ])
-def test_table_of_modes(bench, path, mode, actuated):
+def test_table_of_modes(cold, path, mode, actuated):
     for seq, request in enumerate(path):
-        (state,) = bench.ask(request, seq, v=7, safe=-2)
+        (state,) = cold.ask(request, seq, v=7, safe=-2)
     assert (state.mode, state.echo, state.values) == (mode, len(path) - 1, (3, -4))
-    assert bench.actuated[-1] == actuated
+    assert cold.actuated[-1] == actuated
 
 
 def test_commands_are_clipped_to_the_limit(bench):
@@ -129,7 +140,8 @@ def test_a_new_session_takes_power_away_the_same_one_changes_nothing(bench):
     info, state = bench.step(Hello(SESSION + 1, 1000))
     assert (info.session, state.session, state.mode) == (SESSION + 1, SESSION + 1, Mode.DISABLED)
     assert bench.actuated[-1] is None
-    bench.ask(Request.RUN, 1, v=7, session=SESSION + 1)     # counts begin anew
+    bench.ask(Request.SAFE, 1, session=SESSION + 1)         # counts begin anew
+    bench.ask(Request.RUN, 2, v=7, session=SESSION + 1)
     assert bench.actuated[-1] == 7
 
 
@@ -252,7 +264,8 @@ def damaged(frame, at, by):
 @settings(max_examples=500, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(STEPS)
 @example([(pack(Hello(1, 1000).body()), 0, 0, 0),
-          (pack(Command(1, 1, 5, 6, 1, 1).body()), 10, -1, 0), (b'', 999, 1, 0), (b'', 1, 1, 0)])
+          (pack(Command(1, 0, 5, 6, 1, 2).body()), 5, 0, 0),
+          (pack(Command(1, 1, 5, 6, 1, 1).body()), 5, -1, 0), (b'', 999, 1, 0), (b'', 1, 1, 0)])
 def test_firmware_and_emulated_device_send_and_actuate_the_same(library, steps):
     now = 5
     sensed, actuated, devices = [[0, 0], 0], ([], []), []
@@ -271,7 +284,8 @@ def test_the_firmwares_clock_may_wrap_around(library):
     device = Firmware(library, INFO, lambda: sensed, actuated.append)
     receiver = Receiver()
     start = 2 ** 32 - 500_000
-    device.step(pack(Hello(1, 1000).body()), start)
+    device.step(pack(Hello(1, 1000).body()) + pack(Command(1, 0, 0, 0, 5, Request.SAFE).body()),
+                start)
     states = []
     for k in range(1, 1001):
         sent = device.step(pack(Command(1, k, k, 0, 5, Request.RUN).body()), start + 1000 * k)

@@ -63,3 +63,18 @@ def test_several_periods_at_once_are_integrated_in_full():
     for k in range(3):
         apart.advance((k + 1) * 0.005, k)
     assert together.x == pytest.approx(apart.x, abs=1e-13)
+
+
+def test_a_kick_may_be_given_while_it_runs():
+    plain = Configuration.from_flat({})
+    kicked = plain.replace(**{'plant.kick': [0.5, 20.0, 0.05]})
+    whole, later = (item.make_driver() for item in (kicked, plain))
+    for sample in range(200):
+        if sample == 80:        # 0.4 s, before the kick begins
+            later.configure(kicked)
+        for driver in (whole, later):
+            driver.command(0.3, sample * 0.005)
+        one, other = (driver.advance((sample + 1) * 0.005, sample) for driver in (whole, later))
+        assert one == other
+        assert (one.disturbance < -15.0) == (100 <= sample < 110)
+    assert whole.x == later.x

@@ -1,5 +1,8 @@
 """Bounds and bands beside the rows, against the formulas written out and a simulated run."""
 
+import asyncio
+from dataclasses import replace
+import json
 import math
 
 import numpy as np
@@ -8,8 +11,11 @@ import pytest
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
 from dz_ros.core.loop import simulate
+from dz_ros.errors import ConfigurationError
+from dz_ros.live import recorded as recorded_module
 from dz_ros.live.columns import Layout
 from dz_ros.live.derived import Deriver
+from dz_ros.live.history import HEAD
 from dz_ros.live.recorded import Recorded
 from dz_ros.live.stated import labels_of
 
@@ -102,3 +108,41 @@ def test_every_kind_of_law_can_be_shown(law):
     inside = (table[:, names.index('v')] > table[:, names.index('zone_low')]) & (
         v < table[:, names.index('zone_high')])
     assert (table[inside, names.index('w')] == 0.0).all()
+
+
+def test_a_run_of_many_events_is_introduced_in_few_texts():
+    run = from_run(simulate(Configuration.from_flat({'loop.duration': 1.0})), 10 ** 18)
+    events = tuple((10 ** 18 + number, '/plant_node', json.dumps(
+        {'node': '/plant_node', 'event': 'mode', 'mode': 'lost'})) for number in range(3000))
+    odd = ((10 ** 18, '', 'no JSON'), (10 ** 18, '', '[1]'), (10 ** 18, '', '{"event": 7}'))
+    recorded = Recorded({'run': replace(run, events=events + odd)})
+    said = recorded.now()
+    assert len(said) == 1
+    assert len(said[0]['events']) == 3001
+    assert max(item['stamp'] for item in said[0]['events']) < 1e-5
+    assert json.dumps([recorded.hello(), *said], allow_nan=False)
+
+
+def test_a_long_run_is_thinned_without_losing_a_peak(monkeypatch):
+    monkeypatch.setattr(recorded_module, 'MOST_ROWS', 400)
+    c = Configuration.from_flat({'loop.duration': 20.0, 'plant.kick': [11.03, 50.0, 0.01]})
+    recorded = Recorded({'run': from_run(simulate(c), 10 ** 18)})
+    table = recorded._tables[0]
+
+    def ask(**limits):
+        packed = asyncio.run(recorded.ask({'do': 'rows', 'id': 3, 'run': 0, **limits}))
+        return np.frombuffer(packed, '<f8', offset=HEAD.size).reshape(-1, table.shape[1])
+
+    rows = ask()
+    assert len(rows) <= 1.3 * 400
+    assert (np.diff(rows[:, 1]) > 0.0).all()
+    for name in recorded_module.TELLING:
+        at = recorded._layout.place(name)
+        assert np.nanmax(rows[:, at]) == np.nanmax(table[:, at])
+        assert np.nanmin(rows[:, at]) == np.nanmin(table[:, at])
+    part = ask(**{'from': 11.0, 'to': 12.0})
+    inside = (table[:, 1] >= 11.0) & (table[:, 1] <= 12.0)
+    assert len(part) == inside.sum() + 1
+    for wrong in ({'run': 1}, {'run': True}, {'run': 0, 'from': 'x'}, {}):
+        with pytest.raises(ConfigurationError):
+            asyncio.run(recorded.ask({'do': 'rows', 'id': 1, **wrong}))

@@ -1,4 +1,4 @@
-"""Fixtures of the tests of nodes."""
+"""Fixtures of the tests of nodes: a recorded run, a node that hears a loop."""
 
 from dataclasses import replace
 import json
@@ -12,6 +12,10 @@ from dz_ros.core.loop import simulate
 from dz_ros.recording.save import save_run
 
 TIME_OUT = 60.0
+PATIENT = ('-p', 'loop.duration:=0.0', '-p', 'safety.state_hold:=200', '-p',
+           'safety.command_hold:=100', '-p', 'safety.echo_limit:=200', '-p',
+           'safety.fault_after:=2000', '-p', 'driver.fresh:=100.0')
+"""A machine that others use as well stalls for longer than the defaults allow."""
 
 
 @pytest.fixture(scope='module')
@@ -100,5 +104,53 @@ class Operator:
 @pytest.fixture
 def operator(ros_domain):
     made = Operator()
+    yield made
+    made.close()
+
+
+class Watcher(Operator):
+    """An operator of a loop around `actuator_node`, which may fall into fault."""
+
+    patient = PATIENT
+
+    @property
+    def states(self):
+        return [message.data for message in self.heard['state']]
+
+    def running(self, samples=50):
+        self.wait_for_mode(actuator_node='running', controller_node='running')
+        heard = len(self.heard['state'])
+        self.wait(lambda: len(self.heard['state']) > heard + samples)
+
+    def tracked(self, trajectory, bound, samples=600):
+        """Wait for so many samples in a row whose median error is below a bound.
+
+        A busy machine may hold any process for long, so only what lasts is judged.
+        """
+        def good():
+            recent = self.states[-samples:]
+            if len(recent) < samples:
+                return False
+            if recent[0][1] > 20.0 and 'fault' in {mode for mode, _ in self.modes().values()}:
+                self.recovered()
+            errors = sorted(abs(data[2] - trajectory(data[1])[0]) for data in recent)
+            travel = max(data[2] for data in recent) - min(data[2] for data in recent)
+            return errors[samples // 2] < bound and travel > 100.0 * bound
+
+        self.running()
+        self.wait(good, 2 * TIME_OUT)
+
+    def recovered(self):
+        """Reset what is in fault, the actuator first; return whether that was accepted."""
+        return all(self.call(f'{name}/reset').success
+                   for name in ('actuator_node', 'controller_node')
+                   if self.modes()[name][0] == 'fault')
+
+
+@pytest.fixture
+def watcher(ros_domain):
+    """A node that hears the loop of this test's domain."""
+    pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+    made = Watcher()
     yield made
     made.close()

@@ -144,20 +144,26 @@ class ActuatorGuard:
         self._watchdog.stop()
         return self.gate.safe(t)
 
-    def held_by(self, t: float) -> str:
-        """Return why a latched mode cannot be left now, empty when it can."""
+    def held_by(self, t: float, heard: bool = True) -> str:
+        """Return why a latched mode cannot be left now, empty when it can.
+
+        Args:
+            t: The time [s].
+            heard: Whether a fresh command is asked for; not where the device gave no states, for
+                then nobody could answer them.
+        """
         if not self.supervisor.latched:
             return 'nothing is latched'
         if self._pressed:
             return 'the e-stop is still pressed: publish false on estop first'
-        if self.supervisor.life.value == 'active' and self._watch and (
+        if heard and self.supervisor.life.value == 'active' and self._watch and (
                 self._watchdog.fed is None or self._watchdog.older(t, FRESH * self._period)):
             return 'no command arrives: start the controller first'
         return ''
 
-    def reset(self, t: float) -> str:
-        """Leave a latched mode; return why not, empty when it was left."""
-        refused = self.held_by(t)
+    def reset(self, t: float, heard: bool = True) -> str:
+        """Leave a latched mode; return why not, empty when it was left; as `held_by`."""
+        refused = self.held_by(t, heard)
         if not refused:
             self.guard.forget_rivals()
             self.supervisor.happen(Event.RESET)

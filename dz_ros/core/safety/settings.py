@@ -33,7 +33,8 @@ class SafetySettings:
                                   'then takes the safe one; 0 = for ever', minimum=0,
                                   maximum=100000)
     state_hold: int = parameter(3, 'samples', 'without a state for so long the controller sends '
-                                'the safe command; 0 = never', minimum=0, maximum=100000)
+                                'the safe command, without a measurement the actuator '
+                                'is in fault; 0 = never', minimum=0, maximum=100000)
     reference_hold: int = parameter(20, 'samples', 'a reference is extrapolated for so long, then '
                                     'the safe command is sent; 0 = for ever', minimum=0,
                                     maximum=100000)

@@ -42,12 +42,14 @@ class Measurement:
     Attributes:
         x: Position [unit of x].
         speed: Velocity [unit of x/s]; nan where the drive does not send it.
-        at: When it was complete, by the steady clock [s].
+        synced_at: When the SYNC went out that it answers, by the steady clock [s].
+        at: When it was complete [s].
         torque: Torque over the rated one; nan where the drive does not send it.
     """
 
     x: float
     speed: float
+    synced_at: float
     at: float
     torque: float = math.nan
 
@@ -63,6 +65,7 @@ class DriveBus:
         measurement: The newest; None before the first.
         statusword: The newest; −1 before the first.
         said_at: When it came [s].
+        synced_at: When the last SYNC went out [s].
         restarted: Whether it has booted since it was configured.
     """
 
@@ -70,7 +73,7 @@ class DriveBus:
         self.parameters = p = parameters
         self.measurement: Measurement | None = None
         self.statusword = -1
-        self.said_at = -math.inf
+        self.said_at = self.synced_at = -math.inf
         self.restarted = False
         self.place = f'{p.interface} {p.channel}, node {p.node_id}'
         self.command, self._first, self._second = objects.layout(
@@ -237,7 +240,7 @@ class DriveBus:
         self._position = self._unwrap(counts)
         if self._second is None:
             self.measurement = Measurement(self.scaling.x(self._position), math.nan,
-                                           time.monotonic())
+                                           self.synced_at, time.monotonic())
 
     def _on_second(self, _identifier: int, data: bytearray, _stamp: float) -> None:
         position, self._position = self._position, None
@@ -245,7 +248,7 @@ class DriveBus:
             return
         speed, torque = struct.unpack_from(self._second.form, data)
         self.measurement = Measurement(self.scaling.x(position), self.scaling.speed(speed),
-                                       time.monotonic(), torque / 1000.0)
+                                       self.synced_at, time.monotonic(), torque / 1000.0)
 
     def _on_heartbeat(self, _identifier: int, data: bytearray, _stamp: float) -> None:
         if not data:

@@ -24,29 +24,32 @@ _RESET_TIME = 0.05
 
 
 class Phase:
-    """When samples end, modulo the period: the early ones are followed, late ones hardly.
+    """When loop time 0 was on the steady clock: early samples are followed, late ones hardly.
 
     Args:
         period: T [s].
     """
 
     EARLIER, LATER = 0.3, 0.02
+    ANEW = 1.0
+    """Loop time that is off by more than this has begun anew [s]."""
 
     def __init__(self, period: float) -> None:
         self._period = period
-        self._base: float | None = None
+        self._zero: float | None = None
 
-    def hear(self, now: float) -> None:
-        """Hear that a sample ends at `now` [s]."""
-        if self._base is None:
-            self._base = now
-            return
-        off = math.remainder(now - self._base, self._period)
-        self._base += off * (self.EARLIER if off < 0.0 else self.LATER)
+    def hear(self, now: float, t: float) -> float:
+        """Hear at `now` that a sample ends at loop time t [s]; return when that was [s]."""
+        off = math.inf if self._zero is None else now - t - self._zero
+        if self._zero is None or abs(off) > self.ANEW:
+            self._zero = now - t
+        else:
+            self._zero += off * (self.EARLIER if off < 0.0 else self.LATER)
+        return self._zero + t
 
     def next(self, now: float, lead: float) -> float:
         """Return the instant `lead` before a sample that is later than half a period from now."""
-        base = now if self._base is None else self._base - lead
+        base = now if self._zero is None else self._zero - lead
         return base + (math.floor((now - base) / self._period + 0.5) + 1.0) * self._period
 
 
@@ -61,7 +64,6 @@ class Cycle:
     Attributes:
         silences: How often the loop has been silent for too long.
         round_trips: From each SYNC to its answer [s], since they were last taken.
-        sync_at: When the last SYNC went out [s].
     """
 
     def __init__(self, bus: DriveBus, period: float,
@@ -69,7 +71,6 @@ class Cycle:
         p = bus.parameters
         self.silences = 0
         self.round_trips: list[float] = []
-        self.sync_at = -math.inf
         self._bus = bus
         self._period = period
         self._lead = min(p.sync_lead, period)
@@ -116,12 +117,12 @@ class Cycle:
             self._heard = self._clock()
             self._changed.notify()
 
-    def hear(self) -> None:
-        """Hear that a sample ends now."""
+    def hear(self, t: float) -> float:
+        """Hear that a sample ends at loop time t [s]; return when, by the clock [s]."""
         now = self._clock()
         with self._changed:
-            self._phase.hear(now)
             self._heard = now
+            return self._phase.hear(now, t)
 
     def reset_fault(self, on: bool) -> None:
         """Ask the drive to leave its fault, again and again until told not to."""
@@ -147,7 +148,7 @@ class Cycle:
                 self._send_command(now)
             if now >= next_sync:
                 self._note_round_trip()
-                self.sync_at = self._clock()
+                self._bus.synced_at = self._clock()
                 self._bus.send(SYNC, b'')
                 with self._changed:
                     next_sync = self._phase.next(now, self._lead)
@@ -180,6 +181,6 @@ class Cycle:
     def _note_round_trip(self) -> None:
         """Take note of how long the answer to the last SYNC took."""
         found = self._bus.measurement
-        if found is not None and found.at >= self.sync_at:
-            self.round_trips.append(found.at - self.sync_at)
+        if found is not None and found.synced_at == self._bus.synced_at:
+            self.round_trips.append(found.at - found.synced_at)
             del self.round_trips[:-4096]

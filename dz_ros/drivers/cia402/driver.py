@@ -22,7 +22,7 @@ from dz_ros.core.driver import Driver
 from dz_ros.core.safety.health import Level, percentiles
 from dz_ros.drivers.cia402.bus import DriveBus, Measurement, PRE_OPERATIONAL
 from dz_ros.drivers.cia402.cycle import Cycle
-from dz_ros.drivers.cia402.objects import ERROR_CODE
+from dz_ros.drivers.cia402.objects import ERROR_CODE, TORQUE_DEMAND, VELOCITY_DEMAND
 from dz_ros.drivers.cia402.scaling import Scaling
 from dz_ros.drivers.cia402.settings import Cia402Parameters
 from dz_ros.drivers.cia402.states import DriveState, Goal, INTERNAL_LIMIT, TARGET_REACHED
@@ -45,6 +45,7 @@ class Cia402(Driver):
     name = 'cia402'
     summary = 'servo drive on CANopen (CiA 402), torque or velocity'
     order = 0
+    requires = ('can', 'canopen')
     Parameters = Cia402Parameters
 
     def __init__(self, parameters: Any, configuration: Configuration) -> None:
@@ -59,6 +60,7 @@ class Cia402(Driver):
         self._cycle: Cycle | None = None
         self._enabled = False
         self._samples = self._late = 0
+        self._sample_at = -math.inf
 
     @property
     def measured(self) -> int:
@@ -150,18 +152,26 @@ class Cia402(Driver):
     def advance(self, t: float, seq: int) -> Truth | None:  # noqa: ARG002
         """Learn when samples end, so that SYNC goes out before."""
         if self._cycle is not None:
-            self._cycle.hear()
+            self._sample_at = self._cycle.hear(t)
             self._samples += 1
             oldest = min(self.parameters.sync_lead, self._period) + 0.5 * self._period
             self._late += self._newest(oldest) is None
         return None
 
     def measure(self) -> tuple[float, ...] | None:
-        """Return x, or x and x', as the drive last said; None where that is too long ago."""
+        """Return x, or x and x', as the drive last said; None where that is too long ago.
+
+        The drive says what was at the SYNC; x is brought from there to the sample by x'.
+        """
         found = self._newest(STALE * self._period)
         if found is None:
             return None
-        return (found.x, found.speed)[:self.measured]
+        x, now = found.x, time.monotonic()
+        if self.parameters.extrapolate and math.isfinite(found.speed):
+            # No loop, or one that waits: there is no sample but now.
+            sample = self._sample_at if abs(now - self._sample_at) < self._period else now
+            x += found.speed * min(max(sample - found.synced_at, 0.0), STALE * self._period)
+        return (x, found.speed)[:self.measured]
 
     def trouble(self) -> str:
         """Return the first thing that went wrong since the last reset."""
@@ -194,6 +204,13 @@ class Cia402(Driver):
         else:
             bus.forget_trouble()
             self._leave_fault()
+
+    def in_force(self) -> float | None:
+        """Ask the drive for its demand value; waits for the answer."""
+        bus, _ = self._open()
+        found = bus.sdo.read_optional(TORQUE_DEMAND if self.parameters.mode == 'torque'
+                                      else VELOCITY_DEMAND)
+        return None if found is None else self._scaling.v(found)
 
     def report(self, report: Report) -> None:
         """Add state, round trips on the bus, samples whose measurement was an old one."""

@@ -22,6 +22,7 @@ from dz_ros.drivers.cia402.states import DriveState
 LOST_HEARTBEAT, LOST_COMMANDS = 0x8130, 0x8250
 """Error codes of CiA 301: heartbeat, RPDO timeout."""
 _REGISTER = 0x01
+_DEMANDS = (objects.TORQUE.index, objects.TORQUE_DEMAND.index, objects.VELOCITY_DEMAND.index)
 _BRAKED = (DriveState.QUICK_STOP, DriveState.REACTING)
 
 
@@ -50,6 +51,8 @@ class DriveNode:
         self.say: Callable[[str], None] = lambda _text: None
         self._parameters = p = configuration.driver_parameters
         self._rated = round(1000.0 * (rated_torque or p.rated_torque))
+        # What follows the target object of the mode; the other mode's values stay 0.
+        self._demands = _DEMANDS[:2] if p.mode == 'torque' else _DEMANDS[2:]
         self._exit = quick_stop_exit
         self._ask = ask
         self._motor = Motor(configuration, brake)
@@ -264,8 +267,9 @@ class DriveNode:
             return self._motor.position
         if index == objects.VELOCITY.index:
             return self._motor.velocity
-        if index == objects.TORQUE.index:
-            return self._motor.target if self.device.state is DriveState.ENABLED else 0
+        if index in _DEMANDS:
+            follows = index in self._demands and self.device.state is DriveState.ENABLED
+            return self._motor.target if follows else 0
         if index == objects.ERROR_CODE.index:
             return self.device.error_code
         if index == objects.ERROR_REGISTER.index:

@@ -62,9 +62,11 @@ QUICK_STOP_CODE = Object(0x605A, 0, 'quick stop option code', I16, 'rw', 2)
 MODE = Object(0x6060, 0, 'modes of operation', I8, 'rw', 0)
 MODE_DISPLAY = Object(0x6061, 0, 'modes of operation display', I8, 'ro', 0)
 POSITION = Object(0x6064, 0, 'position actual value', I32, 'ro', 0)
+VELOCITY_DEMAND = Object(0x606B, 0, 'velocity demand value', I32, 'ro', 0)
 VELOCITY = Object(0x606C, 0, 'velocity actual value', I32, 'ro', 0)
 TARGET_TORQUE = Object(0x6071, 0, 'target torque', I16, 'rw', 0)
 MAX_TORQUE = Object(0x6072, 0, 'max torque', U16, 'rw', 1000)
+TORQUE_DEMAND = Object(0x6074, 0, 'torque demand', I16, 'ro', 0)
 RATED_TORQUE = Object(0x6076, 0, 'motor rated torque', U32, 'ro', 1000)
 TORQUE = Object(0x6077, 0, 'torque actual value', I16, 'ro', 0)
 MAX_SPEED = Object(0x6080, 0, 'max motor speed', U32, 'rw', 3000)
@@ -75,9 +77,9 @@ SUPPORTED_MODES = Object(0x6502, 0, 'supported drive modes', U32, 'ro', 1 << 7 |
 
 STANDARD = (
     DEVICE_TYPE, ERROR_REGISTER, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT, VENDOR, ERROR_CODE,
-    CONTROLWORD, STATUSWORD, QUICK_STOP_CODE, MODE, MODE_DISPLAY, POSITION, VELOCITY,
-    TARGET_TORQUE, MAX_TORQUE, RATED_TORQUE, TORQUE, MAX_SPEED, CYCLE, CYCLE_EXPONENT,
-    TARGET_VELOCITY, SUPPORTED_MODES)
+    CONTROLWORD, STATUSWORD, QUICK_STOP_CODE, MODE, MODE_DISPLAY, POSITION, VELOCITY_DEMAND,
+    VELOCITY, TARGET_TORQUE, MAX_TORQUE, TORQUE_DEMAND, RATED_TORQUE, TORQUE, MAX_SPEED, CYCLE,
+    CYCLE_EXPONENT, TARGET_VELOCITY, SUPPORTED_MODES)
 
 FAULT = Object(0x2000, 0, 'emulated fault', U8, 'rw', 0)
 FAULT_VALUE = Object(0x2001, 0, 'emulated fault value', U16, 'rw', 0)

@@ -69,6 +69,8 @@ class Cia402Parameters:
                             choices=('arrival', 'sync'), structural=True)
     sync_lead: float = parameter(0.0015, 's', 'SYNC goes out so long before each sample, so that '
                                  'its answer is there in time', minimum=0.0, structural=True)
+    extrapolate: bool = parameter(True, '', 'bring x from the instant of the SYNC to that of the '
+                                  "sample by the drive's velocity", structural=True)
     heartbeat: float = parameter(0.05, 's', 'period of the heartbeats, both ways', minimum=0.002,
                                  maximum=10.0, structural=True)
     heartbeat_hold: float = parameter(0.15, 's', 'a heartbeat that stays away so long is a fault, '

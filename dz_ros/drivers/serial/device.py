@@ -1,9 +1,10 @@
 """The device's side of the protocol: modes, watchdog, states. No port, no clock (ours).
 
-    DISABLED ──SAFE──▶ SAFE ◀──SAFE, watchdog── RUN      any ──fault──▶ FAULT
-    DISABLED ──RUN───▶ RUN ◀──RUN── SAFE                 any ──ESTOP──▶ ESTOP
-    SAFE, RUN ──DISABLE──▶ DISABLED                      FAULT, ESTOP ──RESET──▶ DISABLED
+    DISABLED ──SAFE──▶ SAFE ──RUN──▶ RUN               any but ESTOP ──fault──▶ FAULT
+    RUN ──SAFE, watchdog──▶ SAFE                       any ──ESTOP──▶ ESTOP
+    SAFE, RUN ──DISABLE──▶ DISABLED                    FAULT, ESTOP ──RESET──▶ DISABLED
 
+RUN gives no power: only SAFE does, so that a command that comes late to a session moves nothing.
 FAULT and ESTOP are latched: only RESET leaves them, FAULT only once its cause has gone. The same
 machine, in C for a microcontroller, is ``examples/firmware/dz_device.c``.
 """
@@ -124,7 +125,7 @@ class Device:
             if request is Request.RESET:
                 self._fault = 0
                 self._enter(Mode.DISABLED)      # a fault that lasts is back before the next state
-        elif request is Request.RUN:
+        elif request is Request.RUN and self.mode is not Mode.DISABLED:
             self._enter(Mode.RUN, self._clip(command.v))
         elif request is Request.SAFE:
             self._enter(Mode.SAFE)

@@ -27,6 +27,7 @@ from dz_ros.drivers.serial.framing import CRC_SIZE
 from dz_ros.drivers.serial.link import Link, Wish
 from dz_ros.drivers.serial.protocol import (
     COUNT_LIMIT,
+    Info,
     MAX_HOLD_MS,
     MAX_VALUES,
     Mode,
@@ -75,8 +76,9 @@ class Serial(Driver):
     """A microcontroller on a serial line."""
 
     name = 'serial'
-    summary = 'a microcontroller on a serial line (extra serial); docs/drivers.md has the protocol'
+    summary = 'a microcontroller on a serial line (extra serial); docs/serial.md has the protocol'
     order = 0
+    requires = ('serial',)
     Parameters = SerialParameters
 
     def __init__(self, parameters: Any, configuration: Configuration) -> None:
@@ -97,9 +99,9 @@ class Serial(Driver):
                                      f'{share:.0%} of a line of driver.baudrate = {p.baudrate}; '
                                      'it must be at most 90 %')
         self._link = Link(p.port, p.baudrate, round(1e6 / p.device_rate), p.silence)
-        self._command_scale = math.nan
+        self._info: Info | None = None
+        self._command_scale = 1.0
         self._scales: tuple[float, ...] = ()
-        self._counts_limit = COUNT_LIMIT
         self._powered = False
         self.configure(configuration)
 
@@ -112,8 +114,7 @@ class Serial(Driver):
     def limit(self) -> float:
         """Largest |v| of the device and of `driver.limit` [command unit]."""
         own = self.parameters.limit or math.inf
-        known = self._counts_limit * self._command_scale
-        return min(own, known) if known == known else own
+        return own if self._info is None else min(own, self._info.limit * self._command_scale)
 
     def configure(self, configuration: Configuration) -> None:
         """Use another safe command, limit and watchdog from now on."""
@@ -140,7 +141,6 @@ class Serial(Driver):
                               f'{info.values}')
         self._command_scale = p.command_scale or info.command_scale
         self._scales = (p.state_scales or info.state_scales)[:self.measured]
-        self._counts_limit = info.limit
         self._info = info
 
     def enable(self) -> None:
@@ -149,6 +149,7 @@ class Serial(Driver):
         Raises:
             DriverError: The device refuses, or is in trouble.
         """
+        self._link.mend()
         if self.trouble():
             raise DriverError(f'{self.parameters.port}: {self.trouble()}')
         self._ask(Request.SAFE, (Mode.SAFE, Mode.RUN), 'take power')
@@ -214,7 +215,7 @@ class Serial(Driver):
 
     def report(self, report: Report) -> None:
         """Add device, rate, damage on the line and trips of the watchdog."""
-        report.put('device', self._info.name)
+        report.put('device', None if self._info is None else self._info.name)
         found = self._link.newest()
         if found is not None:
             report.put('device mode', found[0].mode.name.lower())
@@ -233,7 +234,7 @@ class Serial(Driver):
 
     def _counts(self, v: float) -> int:
         """Return a command in counts, within what the device takes."""
-        limit = self._counts_limit
+        limit = COUNT_LIMIT if self._info is None else self._info.limit
         return round(min(max(v / self._command_scale, -limit), limit))
 
     def _ask(self, request: Request, wanted: tuple[Mode, ...], what: str) -> None:

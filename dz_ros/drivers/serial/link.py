@@ -8,7 +8,7 @@ device's watchdog lives on comes from `send` alone: neither thread repeats a com
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import secrets
 import threading
 import time
@@ -100,6 +100,8 @@ class Link:
         except ImportError:
             raise MissingDependencyError("driver.name = 'serial' needs pyserial: pip install "
                                          "'dz_ros[serial]'") from None
+        self._closing, self.info, self.broken, self._problem = False, None, '', ''
+        self._state, self._wish, self._session = None, None, 0
         self._connect()
         self._threads = [threading.Thread(target=work, name=f'{self.port} {work.__name__}',
                                           daemon=True) for work in (self._read, self._write)]
@@ -144,7 +146,8 @@ class Link:
         """
         if self._state is None or self._problem:
             raise DriverError(f'{self.port}: {self.trouble or "no answer yet"}')
-        self.broken = ''
+        with self._news:
+            self.broken, self._wish = '', None
 
     @property
     def trouble(self) -> str:
@@ -164,8 +167,8 @@ class Link:
                     continue
             try:
                 data = self._serial.read(max(1, self._serial.in_waiting))
-            except (OSError, TypeError, ValueError) as error:   # pyserial's are OSErrors
-                self._disconnect(f'the line has gone ({_one_line(error)})')
+            except (OSError, TypeError, ValueError):    # pyserial's are OSErrors
+                self._disconnect('the line has gone')
                 continue
             for body in self._receiver.feed(data):
                 self._hear(body)
@@ -186,6 +189,9 @@ class Link:
                 if self._closing and self._wish is None:
                     return
                 wish, self._wish = self._wish, None
+                if wish is not None and wish.request is Request.RUN and self.trouble:
+                    # Wished before the line broke: it must not move the device after it.
+                    wish = replace(wish, request=Request.SAFE)
                 self._seq = (self._seq + 1) % 2 ** 32
                 seq, session = self._seq, self._session
             if wish is not None:
@@ -267,7 +273,7 @@ class Link:
 
     def _disconnect(self, reason: str) -> None:
         with self._news:
-            port, self._serial = self._serial, None
+            port, self._serial, self._state = self._serial, None, None
             if not self._closing:
                 self._break(reason)
         if port is not None:
@@ -284,13 +290,9 @@ def _shape(info: Info) -> tuple[object, ...]:
     return info.values, info.limit, info.command_scale, info.state_scales
 
 
-def _one_line(error: Exception) -> str:
-    return ' '.join(str(error).split()) or type(error).__name__
-
-
 def _why(error: Exception) -> str:
     """Return pyserial's complaint in few words."""
     known = {2: 'there is no such port', 13: 'permission denied: on many systems the group '
              'dialout may use serial ports', 16: 'in use by another program', 11: 'in use by '
              'another program'}
-    return known.get(getattr(error, 'errno', None) or 0, _one_line(error))
+    return known.get(getattr(error, 'errno', None) or 0, ' '.join(str(error).split()))

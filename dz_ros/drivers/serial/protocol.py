@@ -15,7 +15,7 @@
 - **Units**: commands and values are integers, in counts; INFO says how much a count is. No NaN
   can travel.
 
-`docs/drivers.md` has the bytes in a table; `examples/firmware` the same in C.
+`docs/serial.md` has the bytes in a table; `examples/firmware` the same in C.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ class Request(enum.IntEnum):
     DISABLE = 0
     """No power to the actuator."""
     RUN = 1
-    """Apply the command."""
+    """Apply the command, if there is power."""
     SAFE = 2
-    """Power on, hold the safe command."""
+    """Power on, hold the safe command; nothing else gives power."""
     ESTOP = 3
     """No power, latched until RESET."""
     RESET = 4

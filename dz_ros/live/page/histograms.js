@@ -60,7 +60,8 @@ export class Histogram {
       const bin = Math.floor((value - low) / (high - low) * BINS);
       counts[Math.min(Math.max(bin, 0), BINS - 1)] += 1;
     }
-    const pad = {left: 8 * ratio, right: 8 * ratio, bottom: 22 * ratio, top: 4 * ratio};
+    const rem = ratio * (parseFloat(getComputedStyle(document.documentElement).fontSize) || 16);
+    const pad = {left: 8 * ratio, right: 8 * ratio, bottom: 1.4 * rem, top: 4 * ratio};
     const span = width - pad.left - pad.right;
     const tall = height - pad.top - pad.bottom;
     const top = Math.log10(1 + Math.max(...counts));
@@ -71,7 +72,7 @@ export class Histogram {
       ctx.fillRect(pad.left + bin * span / BINS, pad.top + tall - bar, span / BINS - ratio, bar);
     });
     ctx.fillStyle = colour('--dim');
-    ctx.font = `${12 * ratio}px system-ui, sans-serif`;
+    ctx.font = `${0.78 * rem}px system-ui, sans-serif`;
     ctx.textBaseline = 'bottom';
     for (let tick = 0; tick <= 4; tick += 1) {
       ctx.textAlign = ['left', 'center', 'center', 'center', 'right'][tick];

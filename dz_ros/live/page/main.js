@@ -47,7 +47,8 @@ function hello(message) {
     ? message.runs.map((name) => new RunStore(message.columns, name))
     : [new Store(message.columns, Math.ceil(message.minutes * 60 * rate))];
   page.plots.replaceChildren();
-  app.plots = new Plots(page.plots, message, view, () => events.marks());
+  app.plots = new Plots(page.plots, message, view, () => events.marks(),
+                        () => { app.dirty = true; });
   app.bars = [new Histogram(page.plots, 'interval', 'Period', 'interval', 1 / rate),
               new Histogram(page.plots, 'round_trip', 'Round trip', 'round_trip', null)];
   app.tiles = new Tiles(page.tiles, {...message, units: app.stores[0].units});
@@ -173,7 +174,7 @@ function wire() {
 }
 
 app.link = new Link({
-  hello, facts, rows, event: happened,
+  hello, facts, rows, event: happened, events: (message) => message.events.forEach(happened),
   status: (message) => { app.status = message; app.statusAt = performance.now(); },
 });
 app.actions = new Actions(app.link, page);

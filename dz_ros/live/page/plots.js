@@ -44,7 +44,8 @@ export function catalogue(hello) {
 }
 
 export class Plots {
-  constructor(place, hello, view, events) {
+  constructor(place, hello, view, events, changed) {
+    this.changed = changed;     // hears that a plot has to be drawn again
     this.hello = hello;
     this.view = view;
     this.events = events;       // () → [{stamp, tint}]
@@ -85,10 +86,17 @@ export class Plots {
     }
     for (const item of [...plot.lines, ...(plot.stack || [])]) this.names.add(item.name);
     for (const item of plot.bands) { this.names.add(item.low); this.names.add(item.high); }
-    shown.chart = new uPlot(this.options(shown, series), [[], ...series.slice(1).map(() => [])],
-                            canvas);
+    shown.series = series;
+    this.chart(shown);
     new ResizeObserver(() => this.fit(shown)).observe(canvas);
     return shown;
+  }
+
+  chart(shown) {
+    shown.chart?.destroy();
+    shown.font = this.font();
+    shown.chart = new uPlot(this.options(shown, shown.series.map((item) => ({...item}))),
+                            [[], ...shown.series.slice(1).map(() => [])], shown.canvas);
   }
 
   legendItem(shown, name, tint, run, runName, dash) {
@@ -108,6 +116,7 @@ export class Plots {
   }
 
   options(shown, series) {
+    const rem = parseFloat(getComputedStyle(document.documentElement).fontSize) || 16;
     const axis = (more) => ({stroke: () => colour('--dim'), font: this.font(),
                              grid: {stroke: () => colour('--grid'), width: 1},
                              ticks: {stroke: () => colour('--grid'), width: 1, size: 4}, ...more});
@@ -115,8 +124,8 @@ export class Plots {
       ...this.size(shown), legend: {show: false}, series,
       scales: {x: {time: false, range: () => this.view.window},
                y: {range: () => shown.y || [-1, 1]}},
-      axes: [axis({size: 28, values: (u, ticks) => ticks.map((tick) => tick.toString())}),
-             axis({size: 58})],
+      axes: [axis({size: 1.75 * rem, values: (u, ticks) => ticks.map((tick) => tick.toString())}),
+             axis({size: 3.6 * rem})],
       cursor: {sync: {key: 'dz_ros', scales: ['x', null], setSeries: false}, y: false,
                points: {show: false}, drag: {x: true, y: false, setScale: false, dist: 6},
                bind: {dblclick: () => () => { this.view.live(); return null; }}},
@@ -155,6 +164,11 @@ export class Plots {
   }
 
   fit(shown) {
+    if (this.font() !== shown.font) {       // another screen
+      this.chart(shown);
+      this.changed();
+      return;
+    }
     const size = this.size(shown);
     if (size.width !== shown.chart.width || size.height !== shown.chart.height) {
       shown.chart.setSize(size);

@@ -6,7 +6,7 @@ import struct
 import threading
 import time
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 
@@ -24,10 +24,11 @@ def distance(instant, phase):
     return abs((instant - phase + T / 2.0) % T - T / 2.0)
 
 
+@settings(deadline=None)
 @given(st.floats(0.0, 1.0), st.floats(0.0, T), st.floats(0.0, 0.004))
 def test_sync_comes_before_a_sample_and_never_twice_in_half_a_period(now, phase, lead):
     found = Phase(T)
-    found.hear(phase)
+    found.hear(phase, 0.0)
     due = found.next(now, lead)
     assert T / 2.0 - 1e-9 <= due - now <= 1.5 * T + 1e-9
     assert distance(due + lead, phase) < 1e-9
@@ -37,6 +38,7 @@ def test_without_a_loop_sync_is_free():
     assert Phase(T).next(3.0, 0.001) == pytest.approx(3.0 + T)
 
 
+@settings(deadline=None, max_examples=30)
 @given(st.lists(st.floats(0.0, 0.0005), min_size=300, max_size=300),
        st.lists(st.tuples(st.integers(0, 150), st.floats(0.0, 0.02)), max_size=3))
 def test_the_phase_is_that_of_the_punctual_samples(late, stalls):
@@ -45,9 +47,18 @@ def test_the_phase_is_that_of_the_punctual_samples(late, stalls):
     for place, more in stalls:
         late[place] += more
     for k, error in enumerate(late):
-        found.hear(1.0 + k * T + error)
+        said = found.hear(1.0 + k * T + error, k * T)
+    assert abs(said - (1.0 + 299 * T)) < 0.0008
     due = found.next(10.0, 0.0)
     assert distance(due, 1.0) < 0.0008
+
+
+def test_a_loop_that_begins_anew_has_another_phase():
+    found = Phase(T)
+    for k in range(100):
+        found.hear(k * T, k * T)
+    assert found.hear(20.0021, 0.0) == 20.0021
+    assert distance(found.next(21.0, 0.0), 0.0021) < 1e-9
 
 
 class Bus:
@@ -58,7 +69,7 @@ class Bus:
         self.command = layout('torque', False, True)[0]
         self.state = DriveState.ENABLED
         self.trouble = ''
-        self.said_at = 0.0
+        self.said_at = self.synced_at = 0.0
         self.measurement = None
         self.frames = []
         self.watched = 0

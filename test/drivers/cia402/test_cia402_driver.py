@@ -1,6 +1,7 @@
 """The driver against the simulated drive: life, commands, measurements, what it refuses."""
 
 import builtins
+from dataclasses import replace
 import math
 import threading
 
@@ -9,6 +10,7 @@ import pytest
 from dz_ros.core.safety.health import Report
 from dz_ros.drivers.cia402 import objects
 from dz_ros.drivers.cia402.states import DriveState
+from dz_ros.drivers.conformance import check_contract
 from dz_ros.errors import ConfigurationError, DriverError, MissingDependencyError
 from dz_ros.files import load_configuration
 
@@ -26,8 +28,10 @@ def test_from_nothing_to_a_moving_axis_and_back(drive, until):
     driver.command(3.0, 0.0)
     until(lambda: d.node._motor.target == 600)  # 3 A × 1 N m/A of 5 N m
     until(lambda: driver.command(3.0, 0.0) or (driver.measure() or (0.0, 0.0))[1] > 0.1)
+    assert driver.in_force() == pytest.approx(3.0)
     driver.safe(0.0, 0.0)
     until(lambda: d.node.device.state is S.QUICK_STOP and d.node.device.standing)
+    assert driver.in_force() == 0.0
     driver.command(-3.0, 0.0)
     until(lambda: d.node.device.state is S.ENABLED and d.node._motor.target == -600)
     driver.safe(0.0, 0.0)
@@ -75,8 +79,30 @@ def test_position_alone(drive, until):
     d = drive(driver__velocity_measured=False)
     driver = d.enabled()
     assert driver.measured == 1
-    until(lambda: driver.measure() == pytest.approx((0.1,), abs=1e-4))
+    until(lambda: driver.measure() == pytest.approx((0.1,), abs=0.05))
     assert d.node._node.sdo[0x1801][1].raw & objects.NOT_VALID
+
+
+@pytest.mark.parametrize('extrapolate', [True, False])
+def test_the_position_is_that_of_the_sample(drive, monkeypatch, extrapolate):
+    driver = drive().driver(driver__extrapolate=extrapolate)
+    driver.open()
+    driver._bus.close()                         # nothing comes any more but what follows
+    driver._bus.synced_at = 100.0
+    driver._bus._on_first(0x181, bytearray(bytes.fromhex('371200000100')), 0.0)     # 1 turn
+    driver._bus._on_second(0x281, bytearray(bytes.fromhex('000002000000')), 0.0)    # 2 turns/s
+    driver._bus.measurement = replace(driver._bus.measurement, at=100.0005)
+    x = 2.0 * math.pi
+    more = 4.0 * math.pi * 0.0015 if extrapolate else 0.0
+    monkeypatch.setattr('dz_ros.drivers.cia402.driver.time.monotonic', lambda: 100.003)
+    driver._sample_at = 100.0015
+    assert driver.measure() == pytest.approx((x + more, 4.0 * math.pi))
+    driver._sample_at = 90.0                    # an old one: now is meant
+    assert driver.measure() == pytest.approx((x + 2.0 * more, 4.0 * math.pi))
+    driver._bus.measurement = replace(driver._bus.measurement, speed=math.nan)
+    assert driver.measure()[0] == pytest.approx(x)
+    monkeypatch.setattr('dz_ros.drivers.cia402.driver.time.monotonic', lambda: 100.02)
+    assert driver.measure() is None
 
 
 def test_a_command_that_is_not_finite_stops(drive, until):
@@ -109,6 +135,15 @@ def test_a_loop_that_falls_silent_is_stopped_and_may_go_on(drive, until):
     driver.report(report)
     assert int(report.values['loop silent']) >= 1
     assert float(report.values['bus round trip p50 [ms]']) > 0.0
+
+
+@pytest.mark.parametrize('mode', ['torque', 'velocity'])
+def test_the_conformance_kit_finds_nothing(drive, mode):
+    d = drive(driver__mode=mode, safety__state_hold=200)
+    results = {item.name: item for item in check_contract(d.configuration, 1.0, True)}
+    for name in ('declaration', 'opens', 'no trouble', 'safe command', 'limit', 'stop and reset',
+                 'restart', 'reconnect'):       # the others are about time
+        assert results[name].passed, results[name]
 
 
 def test_stops_and_commands_in_quick_turns_are_no_trouble(drive, until):

@@ -3,7 +3,7 @@
 from dataclasses import replace
 import math
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 
@@ -49,6 +49,7 @@ scalings = st.builds(
     st.integers(-10 ** 6, 10 ** 6))
 
 
+@settings(deadline=None)
 @given(scalings, st.integers(-2 ** 30, 2 ** 30), st.integers(-1000, 1000))
 def test_the_drive_and_the_driver_agree_on_every_number(s, counts, target):
     assert s.counts(s.x(counts)) == counts
@@ -56,6 +57,7 @@ def test_the_drive_and_the_driver_agree_on_every_number(s, counts, target):
     assert s.target(s.v(target)) == target
 
 
+@settings(deadline=None)
 @given(scalings, st.floats(-1e9, 1e9))
 def test_a_target_is_never_more_than_its_object_holds(s, v):
     target = s.target(v)
@@ -64,6 +66,7 @@ def test_a_target_is_never_more_than_its_object_holds(s, v):
         assert abs(target - v * s.command) <= 0.5 + 1e-6 * abs(target)
 
 
+@settings(deadline=None)
 @given(st.integers(-2 ** 31, 2 ** 31 - 1), st.lists(st.integers(-2 ** 30, 2 ** 30), max_size=50))
 def test_a_position_is_followed_across_the_wrap_of_its_32_bits(start, steps):
     follow, true = Unwrap(), start

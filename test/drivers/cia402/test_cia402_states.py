@@ -1,6 +1,6 @@
 """State machine: statuswords, every transition of the profile, the way to a goal."""
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 
@@ -37,6 +37,7 @@ def device(state, code=6):
 
 
 @pytest.mark.parametrize(('pattern', 'state'), STATUSWORDS.items())
+@settings(deadline=None)
 @given(rest=st.integers(0, 0xFFFF))
 def test_statuswords_are_read_as_the_profile_writes_them(pattern, state, rest):
     fixed = int(''.join('0' if bit == 'x' else '1' for bit in pattern), 2)
@@ -144,6 +145,7 @@ def test_safe_and_off_take_the_torque_away_in_one_step(state):
         assert troubles == []
 
 
+@settings(deadline=None)
 @given(st.sampled_from([*S, None]))
 def test_no_step_resets_a_fault(state):
     for goal in Goal:

@@ -1,0 +1,1 @@
+"""Finding a dead-zone: moves that show it, bounds that hold it, a configuration that uses them."""

@@ -1,0 +1,61 @@
+"""dz driver list: what is installed, and what keeps one from loading or opening."""
+
+import json
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from dz_ros.cli.driver_check import line
+from dz_ros.cli.driver_list import describe
+from dz_ros.cli.main import main
+from dz_ros.core.driver import DRIVERS
+from dz_ros.drivers.conformance import Result
+from dz_ros.drivers.simulated import SimulatedActuator
+from dz_ros.errors import UnknownNameError
+
+
+def test_every_driver_is_listed_with_what_it_is(capsys):
+    assert main(['driver', 'list']) == 0
+    text = capsys.readouterr().out
+    for name in DRIVERS.builtin:
+        assert name in text
+    assert "any order, units the plant's, simulated; dz_ros.drivers.mock:Mock" in text
+    assert 'driver.script driver.measures driver.limit' in text
+
+
+def test_as_json_it_is_all_there(capsys):
+    assert main(['driver', 'list', '--json']) == 0
+    rows = {row['name']: row for row in json.loads(capsys.readouterr().out)}
+    assert rows['simulated']['simulated'] is True
+    assert rows['mock']['parameters'][0] == 'driver.script'
+    assert all(row['error'] or row['summary'] for row in rows.values())
+
+
+def test_one_that_cannot_load_says_why():
+    row = describe('x', UnknownNameError('driver.name', 'x', 'cannot be loaded: no such file'))
+    assert row['error'] == "driver.name = 'x': cannot be loaded: no such file"
+
+
+def test_a_library_that_is_missing_is_named(monkeypatch, capsys):
+    class Needs(SimulatedActuator):
+        name, requires = 'needs', ('math', 'no_such_library', 'no_such.library')
+        command_unit = 'A'
+
+    assert describe('needs', Needs)['missing'] == ['no_such_library', 'no_such.library']
+    assert describe('needs', Needs)['units'] == 'of its own'
+    monkeypatch.setitem(sys.modules, 'needs_driver', SimpleNamespace(Needs=Needs))
+    builtin = {'needs': 'needs_driver:Needs'}
+    monkeypatch.setattr('dz_ros.cli.driver_list.DRIVERS',
+                        type(DRIVERS)(DRIVERS.kind, DRIVERS.key, 'none', DRIVERS.base, builtin))
+    assert main(['driver', 'list']) == 0
+    assert 'cannot be opened here: no_such_library, no_such.library is not installed' in (
+        capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(('passed', 'mark'), [(True, 'ok'), (False, 'FAILED'), (None, 'unseen')])
+def test_a_result_is_a_line_with_figure_and_limit(passed, mark):
+    text = line(Result('rate', passed, '199 Hz', '200 Hz', '' if passed else 'slow'))
+    assert text.split()[:2] == [mark, 'rate']
+    assert '199 Hz; must be: 200 Hz' in text
+    assert ('(slow)' in text) is (not passed)

@@ -1,0 +1,173 @@
+"""`dz driver identify`: asks, moves, stops, tells, writes; and reads runs."""
+
+import json
+import os
+import signal
+import sys
+import threading
+
+import pytest
+
+from dz_ros.cli.main import main
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.dataset import from_run
+from dz_ros.core.loop import simulate
+from dz_ros.recording.save import save_run
+
+LIMITS = ('--travel', '1.5', '--speed', '1', '--effort', '4')
+QUIET = ('--set', 'plant.noise=[0.001, 0.01]', '--set', 'plant.x0=[0.0, 0.0]')
+
+DEVICE = '''
+import os
+import signal
+from dz_ros.drivers.simulated import SimulatedActuator
+
+told = []
+
+
+class Device(SimulatedActuator):
+    """Keeps the wall's time; SIGNAL at command 100."""
+
+    name = 'device'
+    lockstep = False
+
+    def command(self, v, t):
+        told.append(v)
+        super().command(v, t)
+        if len(told) == 100 and os.environ.get('SIGNAL'):
+            os.kill(os.getpid(), int(os.environ['SIGNAL']))
+
+    def safe(self, v, t):
+        told.append(('safe', v))
+
+    def disable(self):
+        told.append('disabled')
+'''
+
+
+@pytest.fixture
+def device(tmp_path, monkeypatch):
+    """Yield the module of a driver that keeps time."""
+    (tmp_path / 'a_device.py').write_text(DEVICE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    import a_device
+    a_device.told.clear()
+    yield a_device
+    del sys.modules['a_device']
+
+
+def test_from_device_to_ready_configuration_and_again_from_its_run(tmp_path, capsys):
+    out = tmp_path / 'found'
+    words = ('servo', *QUIET, '--set', 'loop.duration=5', '--repeats', '4')
+    assert main(['driver', 'identify', *words, *LIMITS, '--yes', '--out', str(out)]) == 0
+    said = capsys.readouterr().out
+    assert 'simulated is going to move: 4 times ramps and steps both ways' in said
+    assert {item.name for item in out.iterdir()} == {
+        'run', 'bounds.yaml', 'identified.yaml', 'identified.json', 'characteristic.png'}
+    numbers = json.loads((out / 'identified.json').read_text())
+    for name, value in (('b_r', 0.5), ('b_l', -0.6), ('b·m_r', 1.0), ('b·m_l', 1.0)):
+        assert numbers['parameters'][name]['low'] <= value <= numbers['parameters'][name]['high']
+    assert (out / 'characteristic.png').read_bytes().startswith(b'\x89PNG')
+    # The file passes the check, and bounds.yaml on its own is a configuration too.
+    assert main(['check', str(out / 'identified.yaml'), '--quick']) == 0
+    assert main(['check', str(out / 'bounds.yaml'), '--quick', '--set',
+                 'plant.model=servo']) == 0
+    assert main(['bag', 'info', str(out / 'run')]) == 0
+    capsys.readouterr()
+    again = tmp_path / 'again'
+    assert main(['driver', 'identify', '--from', str(out / 'run'), '--out', str(again)]) == 0
+    assert not (again / 'run').exists()
+    for name, item in json.loads((again / 'identified.json').read_text())['parameters'].items():
+        assert item['value'] == pytest.approx(numbers['parameters'][name]['value'], rel=2e-2)
+    # Neither is ever overwritten.
+    assert main(['driver', 'identify', '--from', str(out / 'run'), '--out', str(again)]) == 2
+    assert 'exists already' in capsys.readouterr().err
+
+
+def test_a_run_of_the_loop_tells_as_well(tmp_path, capsys):
+    c = Configuration.from_flat({
+        'plant.model': 'servo', 'controller.law': 'wang2004', 'loop.duration': 30.0,
+        'plant.noise': [1e-4, 1e-3], 'plant.x0': [0.1, 0.0], 'controller.lambda': 5.0,
+        'trajectory.kind': 'multisine', 'trajectory.amplitudes': [1.0, 0.5],
+        'trajectory.frequencies': [1.0, 2.7], 'trajectory.phases': [0.0, 0.0]})
+    save_run(from_run(simulate(c)), tmp_path / 'run')
+    out = tmp_path / 'found'
+    assert main(['driver', 'identify', '--from', str(tmp_path / 'run'), '--out', str(out)]) == 0
+    numbers = json.loads((out / 'identified.json').read_text())['parameters']
+    for name, value in (('b_r', 0.5), ('b_l', -0.6), ('b·m_r', 1.0), ('b·m_l', 1.0)):
+        assert numbers[name]['low'] <= value <= numbers[name]['high']
+        assert numbers[name]['value'] == pytest.approx(value, rel=0.1)
+
+
+@pytest.mark.parametrize(('words', 'said'), [
+    ((), 'CONFIG'),
+    (('servo',), '--travel = None: must be given [rad]'),
+    (('servo', '--travel', '1', '--effort', '2'), '--speed = None: must be given [rad/s]'),
+    (('servo', *LIMITS[:-1], '-1'), '--effort = -1.0: must be a finite number > 0'),
+    (('servo', *LIMITS[:-1], 'nan'), '--effort = nan'),
+    (('servo', *LIMITS, '--repeats', '2'), '--repeats = 2: must be an integer >= 4'),
+    (('servo', *LIMITS, '--set', 'plant.command_limit=3'), '--effort = 4.0: must be <= 3'),
+    (('servo', *LIMITS), '--yes = False: there is no terminal to ask'),
+    (('--from', 'nowhere'), 'nowhere'),
+])
+def test_what_cannot_be_done_is_one_line_and_writes_nothing(tmp_path, monkeypatch, capsys, words,
+                                                            said):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys.stdin, 'isatty', lambda: False, raising=False)
+    assert main(['driver', 'identify', *words]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count('\n') == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize('answer', ['no', 'y', ''])
+def test_only_yes_is_yes(tmp_path, monkeypatch, capsys, device, answer):
+    monkeypatch.setattr(sys.stdin, 'isatty', lambda: True, raising=False)
+    monkeypatch.setattr('builtins.input', lambda _: answer)
+    out = tmp_path / 'found'
+    assert main(['driver', 'identify', 'servo', *QUIET, *LIMITS, '--out', str(out), '--set',
+                 'driver.name=a_device:Device']) == 2
+    assert 'nothing has moved' in capsys.readouterr().err
+    assert device.told == []
+    assert not out.exists()
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_gives_the_safe_command_within_a_sample(tmp_path, monkeypatch, capsys, device,
+                                                         number):
+    monkeypatch.setattr('dz_ros.cli.identify_moves.find_spec', lambda _: None)     # no ROS
+    monkeypatch.setenv('SIGNAL', str(int(number)))
+    earlier = signal.getsignal(number)
+    out = tmp_path / 'found'
+    code = main(['driver', 'identify', 'servo', *QUIET, *LIMITS, '--yes', '--out', str(out),
+                 '--set', 'driver.name=a_device:Device'])
+    assert code == 2
+    assert capsys.readouterr().err == f'dz: error: {number.name}\n'
+    assert len([item for item in device.told if isinstance(item, float)]) == 100
+    assert device.told[100:] == [('safe', 0.0), ('safe', 0.0), 'disabled']
+    assert signal.getsignal(number) is earlier
+    assert not out.exists()
+
+
+@pytest.mark.ros
+def test_the_e_stop_topic_stops_it(tmp_path, capsys, device, ros_domain):
+    pytest.importorskip('rclpy')
+    from dz_ros.cli.operator import operator
+
+    def press():
+        while len(device.told) < 50:
+            device_moves.wait(0.02)
+        with operator('estop') as process:
+            process.wait(60.0)
+
+    device_moves = threading.Event()
+    presser = threading.Thread(target=press)
+    presser.start()
+    code = main(['driver', 'identify', 'servo', *QUIET, *LIMITS, '--yes', '--out',
+                 str(tmp_path / 'found'), '--set', 'driver.name=a_device:Device'])
+    presser.join()
+    assert code == 2
+    assert 'dz: error: e-stop pressed\n' in capsys.readouterr().err
+    assert device.told[-3:] == [('safe', 0.0), ('safe', 0.0), 'disabled']
+    assert os.environ['ROS_DOMAIN_ID'] == str(ros_domain)

@@ -1,0 +1,180 @@
+"""The moves: within their limits, whatever the device does, and the safe command at every end."""
+
+import math
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.drivers.hosted import HostedDriver
+from dz_ros.drivers.simulated import SimulatedActuator
+from dz_ros.errors import DriverError
+from dz_ros.identification.experiment import BREACHES, Experiment
+from dz_ros.identification.plan import Limits, Plan
+from dz_ros.identification.session import run_session, StoppedError
+
+SERVO = {'plant.model': 'servo', 'plant.noise': [1e-3, 1e-2], 'loop.timing': 'lockstep'}
+LIMITS = Limits(1.5, 1.0, 4.0)
+
+
+class Watched(SimulatedActuator):
+    """A simulated actuator that remembers what it was told."""
+
+    def __init__(self, parameters, configuration):
+        super().__init__(parameters, configuration)
+        self.told = []
+
+    def command(self, v, t):
+        self.told.append(v)
+        super().command(v, t)
+
+    def safe(self, v, t):
+        self.told.append(('safe', v))
+        super().command(v, t)
+
+    def disable(self):
+        self.told.append('disabled')
+
+    def close(self):
+        self.told.append('closed')
+
+
+def session(flat, limits=LIMITS, plan=None, stopped=lambda: '', driver=Watched):
+    c = Configuration.from_flat({**SERVO, **flat})
+    experiment = Experiment(limits, plan or Plan(repeats=4), c.plant.order, c.loop.period,
+                            c.safety.safe_command)
+    hosted = HostedDriver(c)
+    hosted.driver = driver(c.driver_parameters, c)
+    try:
+        samples = run_session(c, experiment, lambda seq: seq, stopped, hosted)
+    except DriverError as error:
+        return hosted.driver, experiment, error
+    return hosted.driver, experiment, samples
+
+
+def test_it_moves_both_ways_within_its_limits_and_ends_near_home():
+    driver, experiment, samples = session({'plant.x0': [0.7, 0.0]}, plan=Plan(repeats=6))
+    x = samples.x[:, 0] - experiment.home
+    assert abs(experiment.home - 0.7) < 1e-3
+    assert np.abs(x).max() < LIMITS.travel
+    assert np.abs(samples.x[:, 1]).max() < LIMITS.speed
+    assert np.abs(samples.v).max() <= LIMITS.effort
+    assert abs(x[-1]) < 0.25 * LIMITS.travel
+    assert not experiment.breaches
+    assert {*samples.kinds} - {'return'} == {'rest', 'ramp', 'step', 'coast', 'brake'}
+    sides = [math.copysign(1.0, v) for _, v in experiment.breakaway]
+    assert sides.count(1.0) == sides.count(-1.0) == 6
+    assert samples.v[-5:].tolist() == [0.0] * 5
+    assert driver.told[-3:] == [('safe', 0.0), 'disabled', 'closed']
+
+
+def test_the_same_seed_moves_the_same_and_another_does_not():
+    one, two, other = (session({}, plan=Plan(repeats=4, seed=seed))[2].v for seed in (1, 1, 2))
+    assert np.array_equal(one, two)
+    assert len(one) != len(other) or not np.array_equal(one, other)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.floats(0.3, 3.0), st.floats(0.3, 3.0), st.floats(0.5, 8.0), st.floats(0.0, 2.0),
+       st.integers(0, 5))
+def test_whatever_the_device_is_the_command_is_limited_and_the_last_one_is_safe(
+        travel, speed, effort, friction, delay):
+    limits = Limits(travel, speed, effort)
+    driver, experiment, found = session(
+        {'plant.coulomb_friction': friction, 'loop.delay': delay}, limits,
+        Plan(repeats=4, ramp=1.0))
+    commands = [item for item in driver.told if isinstance(item, float)]
+    assert max(map(abs, commands)) <= effort
+    assert driver.told[-3:] == [('safe', 0.0), 'disabled', 'closed']
+    if not isinstance(found, Exception):
+        assert len(experiment.breaches) <= BREACHES
+
+
+def test_a_limit_that_is_passed_stops_it_and_it_goes_back():
+    # A gust at t = 3 s throws it beyond the speed limit.
+    driver, experiment, samples = session({'plant.kick': [3.0, 30.0, 0.05]})
+    assert len(experiment.breaches) == 1
+    assert 'speed' in experiment.breaches[0]
+    beyond = np.flatnonzero(np.abs(samples.x[:, 1]) > 1.02 * LIMITS.speed)
+    after = samples.v[beyond[-1] + 1:beyond[-1] + 10]
+    assert not after.any()
+    assert not isinstance(samples, Exception)
+    assert driver.told[-1] == 'closed'
+
+
+def test_it_gives_up_where_limits_are_passed_again_and_again():
+    # So light that every ramp is too fast.
+    _, _, error = session({'plant.inertia': 1e-3, 'plant.coulomb_friction': 0.05,
+                           'plant.viscous_friction': 0.001, 'plant.cogging_torque': 0.0})
+    assert isinstance(error, DriverError)
+    assert str(error).startswith(f'a limit was passed {BREACHES + 1} times')
+
+
+@pytest.mark.parametrize(('flat', 'said'), [
+    ({'plant.torque_constant': 1e-3}, 'no motion right up to |v| = 4'),
+    ({'plant.noise': [1e-3, 2.0]}, 'hides motion'),
+    ({'plant.model': 'wang2004', 'plant.x0': [1.0, 0.0]}, 'does not rest'),
+    ({'plant.noise': [0.0, 0.0], 'plant.x0': [0.0, 0.9]}, 'does not rest'),
+])
+def test_a_device_that_cannot_be_moved_so_is_told(flat, said):
+    driver, _, error = session(flat)
+    assert isinstance(error, DriverError)
+    assert said in str(error)
+    assert driver.told[-3:] == [('safe', 0.0), 'disabled', 'closed']
+
+
+class Reversed(Watched):
+    """Its wires are swapped."""
+
+    def command(self, v, t):
+        super().command(-v, t)
+
+
+def test_swapped_wires_are_noticed_on_the_first_ramp():
+    driver, _, error = session({}, driver=Reversed)
+    assert 'against the command' in str(error)
+    assert max(abs(item) for item in driver.told if isinstance(item, float)) < 4.0
+
+
+class Dying(Watched):
+    """Its measurement stays away from sample 500 on."""
+
+    def measure(self):
+        return super().measure() if len(self.told) < 500 else None
+
+
+def test_a_measurement_that_stays_away_ends_it():
+    driver, _, error = session({}, driver=Dying)
+    assert str(error) == 'no measurement for 3 samples'
+    assert driver.told[-3:] == [('safe', 0.0), 'disabled', 'closed']
+
+
+def test_a_measurement_that_is_missing_once_is_a_hole():
+    class Blinking(Watched):
+        def measure(self):
+            return None if len(self.told) in (700, 1100) else super().measure()
+
+    _, _, samples = session({}, driver=Blinking)
+    assert np.flatnonzero(np.isnan(samples.x[:, 0])).tolist() == [700, 1100]
+
+
+def test_who_stops_it_gets_the_safe_command_in_the_same_sample():
+    asked = []
+
+    def stopped():
+        asked.append(0)
+        return 'e-stop pressed' if len(asked) == 800 else ''
+
+    driver, _, error = session({}, stopped=stopped)
+    assert isinstance(error, StoppedError)
+    assert str(error) == 'e-stop pressed'
+    assert len([item for item in driver.told if isinstance(item, float)]) == 799
+    assert driver.told[799:] == [('safe', 0.0)] * 2 + ['disabled', 'closed']
+
+
+def test_a_safe_command_of_its_own_is_what_rests():
+    driver, _, samples = session({'safety.safe_command': 0.1})
+    assert samples.v[0] == 0.1
+    assert ('safe', 0.1) in driver.told

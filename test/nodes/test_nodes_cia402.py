@@ -1,0 +1,187 @@
+"""The loop through a servo drive on a CAN bus: simulated drive, host and law as processes."""
+
+import signal
+
+import numpy as np
+import pytest
+
+from dz_ros.core.records import Status, Terms
+from dz_ros.drivers.cia402.emulator import FAULTS
+from dz_ros.drivers.cia402.states import DriveState, state_of
+from dz_ros.files import load_configuration
+from dz_ros.recording.reader import read_run
+
+pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+can = pytest.importorskip('can', reason='python-can is not installed')
+pytest.importorskip('canopen', reason='canopen is not installed')
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
+
+DZ = ('-m', 'dz_ros')
+GROUP = '239.74.163.2'
+# Holds long enough for a machine that is busy with other tests; what is tested is what happens,
+# not when.
+PATIENT = ('safety.state_hold=100', 'safety.command_hold=100', 'safety.echo_limit=300',
+           'safety.reference_hold=300', 'safety.fault_after=5000', 'driver.heartbeat_hold=2.0',
+           'driver.command_hold=2.0', 'driver.answer_limit=1.0')
+S, STATUS = Terms.labels(()).index('s'), Terms.labels(()).index('status')
+
+
+class Bus:
+    """The bus as a bystander: hears the drive, asks it for faults."""
+
+    def __init__(self, port):
+        self.port = port
+        try:
+            self.bus, second = (can.Bus(interface='udp_multicast', channel=GROUP, port=port,
+                                        hop_limit=0) for _ in range(2))
+            second.send(can.Message(arbitration_id=0x7FF, is_extended_id=False))
+            heard = self.bus.recv(5.0)
+            second.shutdown()
+        except can.CanError as error:
+            pytest.skip(f'no multicast on this machine: {error.__cause__ or error}')
+        if heard is None:
+            pytest.skip('multicast frames do not come back on this machine')
+
+    def ask(self, fault, value=0, duration=0.0):
+        """Have a fault begin: three expedited SDO downloads."""
+        for index, number, size in ((0x2001, value, 2), (0x2002, round(duration * 1000.0), 2),
+                                    (0x2000, list(FAULTS).index(fault) + 1, 1)):
+            data = bytes((0x23 | (4 - size) << 2,)) + index.to_bytes(2, 'little') + b'\0'
+            self.bus.send(can.Message(arbitration_id=0x601, is_extended_id=False,
+                                      data=data + number.to_bytes(4, 'little')))
+
+    def states(self, cycles):
+        """Return the states the drive says in so many cycles from now on."""
+        while self.bus.recv(0) is not None:
+            pass
+        found, syncs = set(), 0
+        while syncs < cycles:
+            message = self.bus.recv(60.0)
+            assert message is not None, 'no SYNC any more'
+            syncs += message.arbitration_id == 0x80
+            if message.arbitration_id == 0x181:
+                found.add(state_of(int.from_bytes(message.data[:2], 'little')))
+        return found
+
+    def close(self):
+        self.bus.shutdown()
+
+
+@pytest.fixture
+def bus(ros_domain):
+    made = Bus(43200 + ros_domain)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def settings(bus):
+    """Return the options of the command line that loop and drive share."""
+    return tuple(word for text in (
+        *PATIENT, f'driver.bus_options=[port={bus.port}, hop_limit=0]')
+        for word in ('--set', text))
+
+
+@pytest.fixture
+def drive(processes, settings):
+    """Start a simulated drive."""
+    started = processes(*DZ, 'driver', 'emulate', 'cia402', 'cia402', *settings)
+    started.wait_for_line('simulated drive, node 1 on udp_multicast')
+    return started
+
+
+def test_the_adaptive_loop_tracks_through_the_drive(processes, drive, settings, tmp_path):
+    path = tmp_path / 'run'
+    loop = processes(*DZ, 'run', 'cia402', *settings, '--set', 'loop.duration=6.0', '--record',
+                     path, '--quiet')
+    assert loop.wait(180.0) == 0, loop.output
+    data = read_run(path)
+    seq, t, x = (data.channels['state'][name] for name in ('seq', 'stamp', 'x0'))
+    # A sample that is not measured in time has no state; on an idle machine each has one.
+    assert len(seq) > 600
+    assert np.all(np.diff(seq) > 0)
+    assert np.allclose(t / 0.005, np.round(t / 0.005))
+    assert t[-1] >= 6.0 - 1e-9
+    trajectory = load_configuration('cia402').trajectory
+    desired = np.array([trajectory(stamp)[0] for stamp in t])
+    late = t > 3.0
+    assert np.ptp(desired[late]) > 1.0          # it has gone from one angle to the other
+    assert np.median(np.abs(x - desired)[late]) < 0.02
+    assert drive.interrupt() == 0
+    assert 'commands, after the SYNC before them' in drive.output
+
+
+CASES = (
+    # fault, value, duration [s], reason of the fault, states of the drive meanwhile
+    ('emcy', 0x3210, 0.0, 'EMCY 3210h (Voltage), error register 01h',
+     {DriveState.REACTING, DriveState.FAULT}),
+    ('heartbeat', 0, 30.0, 'no heartbeat for 2 s', {DriveState.QUICK_STOP}),
+    ('torque-off', 0, 0.0, 'the drive has left operation enabled by itself',
+     {DriveState.DISABLED}),
+    ('restart', 0, 0.0, 'the drive has restarted', set()),
+    ('bus-off', 0, 6.0, 'no measurement for', set()))
+
+
+def test_faults_are_latched_and_left_by_reset(processes, drive, bus, operator, settings):
+    processes(*DZ, 'run', 'cia402', *settings, '--set', 'loop.duration=0.0', '--quiet')
+    epsilon = load_configuration('cia402').law.gains.epsilon
+
+    def tracks():
+        """Whether most of the last hundred samples were the law's, and near its layer."""
+        last = [message.data for message in operator.heard['terms'][-100:]]
+        near = [abs(data[S]) < 2.0 * epsilon and not int(data[STATUS]) & Status.INACTIVE
+                for data in last]
+        return len(last) == 100 and sum(near) > 70
+
+    operator.wait_for_mode(actuator_node='running', controller_node='running')
+    operator.wait(tracks)
+    for fault, value, duration, reason, states in CASES:
+        bus.ask(fault, value, duration)
+        operator.wait_for_mode(actuator_node='fault')
+        assert operator.modes()['actuator_node'][1].startswith(reason), fault
+        if states:
+            operator.wait(lambda: DriveState.ENABLED not in bus.states(5))  # it has heard
+            assert bus.states(50) <= states, fault
+        operator.wait(lambda: operator.call('actuator_node/reset').success)
+        if operator.modes()['controller_node'][0] == 'fault':
+            operator.wait(lambda: operator.call('controller_node/reset').success)
+        operator.wait_for_mode(actuator_node='running', controller_node='running')
+        operator.heard['terms'].clear()
+        operator.wait(tracks)
+
+
+def test_a_killed_drive_is_a_fault_and_a_new_one_is_driven(processes, drive, operator, settings):
+    loop = processes(*DZ, 'run', 'cia402', *settings, '--set', 'loop.duration=0.0', '--quiet')
+    operator.wait_for_mode(actuator_node='running', controller_node='running')
+    drive.signal(signal.SIGKILL)
+    drive.wait()
+    operator.wait_for_mode(actuator_node='fault')
+    refused = operator.call('actuator_node/reset')
+    assert not refused.success
+    assert 'no answer within 1 s: is the drive on' in refused.message
+    again = processes(*DZ, 'driver', 'emulate', 'cia402', 'cia402', *settings)
+    again.wait_for_line('simulated drive')
+    operator.wait(lambda: operator.call('actuator_node/reset').success)
+    if operator.modes()['controller_node'][0] == 'fault':
+        operator.wait(lambda: operator.call('controller_node/reset').success)
+    operator.wait_for_mode(actuator_node='running', controller_node='running')
+    assert loop.interrupt() == 0
+
+
+def test_without_a_drive_one_line_says_so(processes, bus, settings):
+    loop = processes(*DZ, 'run', 'cia402', *settings)
+    assert loop.wait() == 2
+    assert 'node 1: no answer within 1 s: is the drive on' in loop.output
+    assert 'Traceback' not in loop.output
+
+
+def test_the_emulated_drive_says_what_can_be_asked_of_it(processes):
+    said = processes(*DZ, 'driver', 'emulate', 'cia402', '--list')
+    assert said.wait() == 0
+    for fault in FAULTS:
+        assert f'--fault {fault}@' in said.output
+    assert '--option brake=' in said.output
+    wrong = processes(*DZ, 'driver', 'emulate', 'cia402', 'servo')
+    assert wrong.wait() == 2
+    assert 'must be cia402' in wrong.output
+    assert 'Traceback' not in wrong.output

@@ -1,0 +1,264 @@
+"""The live page's node beside real loops, met by a viewer of the test's own."""
+
+import asyncio
+import json
+import time
+
+import numpy as np
+import pytest
+
+from dz_ros.analysis.audit import audit
+from dz_ros.analysis.whatif import plan
+from dz_ros.core.loop import simulate
+from dz_ros.files import load_configuration
+from dz_ros.live.history import HEAD
+from dz_ros.recording.cdr import ArrayCodec
+from dz_ros.recording.channels import CHANNELS
+from dz_ros.recording.reader import read_run
+
+pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed: no page to serve')
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
+
+DZ = ('-m', 'dz_ros')
+NODE = ('-m', 'dz_ros.nodes.main')
+TIME_OUT = 120.0
+
+
+class Viewer:
+    """What a browser would be: rows by name, texts by kind."""
+
+    def __init__(self, address, token=True):
+        self.base, _, self.token = address.partition('#')
+        self.token = self.token if token else ''
+        self.rows, self.texts, self.names, self.number = [], [], [], 0
+
+    async def __aenter__(self):
+        self.session = aiohttp.ClientSession()
+        origin = self.base.rstrip('/')
+        self.ws = await self.session.ws_connect(self.base + 'ws', headers={'Origin': origin},
+                                                max_msg_size=0)
+        await self.ws.send_json({'hello': 1, 'token': self.token, 'seconds': 3600})
+        return self
+
+    async def __aexit__(self, *_):
+        await self.session.close()
+
+    async def until(self, condition):
+        """Take what comes until a condition of it holds; return what it returned."""
+        deadline = time.monotonic() + TIME_OUT
+        while not (found := condition()):
+            assert time.monotonic() < deadline, self.texts[-3:]
+            message = await self.ws.receive(TIME_OUT)
+            if message.type is aiohttp.WSMsgType.TEXT:
+                text = json.loads(message.data)
+                self.texts += text['events'] if text['kind'] == 'events' else [text]
+                if text['kind'] == 'hello':
+                    self.hello, self.rows = text, []
+                    self.names = [item['name'] for item in text['columns']]
+            else:
+                assert message.type is aiohttp.WSMsgType.BINARY, message
+                self.rows += np.frombuffer(message.data, '<f8', offset=HEAD.size).reshape(
+                    -1, len(self.names)).tolist()
+        return found
+
+    async def ask(self, what, **details):
+        self.number += 1
+        await self.ws.send_json({'do': what, 'id': self.number, **details})
+        return await self.until(lambda: next((text for text in self.texts if text.get(
+            'id') == self.number), None))
+
+    def column(self, name):
+        return np.array([row[self.names.index(name)] for row in self.rows])
+
+    def running(self):
+        return len(self.rows) > 200 and np.isfinite(self.column('v')[-1])
+
+
+def start(processes, folder, *more):
+    process = processes(*DZ, 'run', 'servo', '--quiet', '--live', '--record', folder, '--set',
+                        'safety.fault_after=4000', *more)
+    return process, process.wait_for_line('live page:').split()[-1]
+
+
+def test_a_viewer_gets_what_is_recorded_and_what_it_does_is_recorded(processes, tmp_path):
+    process, address = start(processes, tmp_path / 'run', '--duration', '600')
+
+    async def look():
+        async with Viewer(address) as viewer:
+            await viewer.until(viewer.running)
+            assert viewer.hello['may_act']
+            answers = {
+                'kick': await viewer.ask('kick', acceleration=20.0, duration=0.05),
+                'zone': await viewer.ask('set', values={'plant.dead_zone.b_r': 0.2}),
+                'gain': await viewer.ask('set', values={'controller.k_d': 12.0}),
+                'motion': await viewer.ask('set', values={'trajectory.dwell': 0.5}),
+                'bad gain': await viewer.ask('set', values={'controller.k_star': 0.01}),
+                'fixed': await viewer.ask('set', values={'loop.rate': 100.0}),
+                'mixed': await viewer.ask('set', values={'controller.k_d': 1.0,
+                                                         'trajectory.dwell': 1.0}),
+                'bad kick': await viewer.ask('kick', acceleration='x', duration=1),
+                'nobody': await viewer.ask('activate', node='recorder_node')}
+            ok = {name for name, answer in answers.items() if answer['ok']}
+            assert ok == {'kick', 'zone', 'gain', 'motion'}, answers
+            assert 'loop.rate' in answers['fixed']['message']
+            assert 'one section' in answers['mixed']['message']
+            assert 'must be a number' in answers['bad kick']['message']
+            stamp = viewer.column('stamp')[-1]
+            await viewer.until(lambda: viewer.column('stamp')[-1] > stamp + 1.0)
+            pressed = await viewer.ask('estop')
+            assert pressed['ok']
+            await viewer.until(lambda: viewer.column('seq')[-1] > pressed['seq'] + 60)
+            assert (await viewer.ask('reset'))['message'] == 'reset'
+            seq = viewer.column('seq')[-1]
+            await viewer.until(lambda: viewer.column('seq')[-1] > seq + 200)
+            assert (await viewer.ask('deactivate'))['ok']
+            status = [text for text in viewer.texts if text['kind'] == 'status'][-1]
+            assert {'controller_node', 'plant_node', 'trajectory_node', 'recorder_node'} <= {
+                node['name'] for node in status['nodes']}
+            assert float(status['recording']['size [MB]']) > 0.0
+            return viewer, answers['bad gain']['message'], pressed['seq']
+
+    viewer, refusal, pressed = asyncio.run(look())
+    process.interrupt()
+    data = read_run(tmp_path / 'run')
+    compare(viewer, data)
+    events = [json.loads(text) for _, _, text in data.events]
+    actions = [event for event in events if event['event'] == 'action']
+    assert [item['action'] for item in actions] == [
+        'kick', 'set', 'set', 'set', 'set', 'set', 'set', 'kick', 'activate', 'estop', 'reset',
+        'deactivate']
+    assert all(item['node'] == '/live_node' and item['by'] == '127.0.0.1' for item in actions)
+    # the controller's own reason
+    assert 'design rule (18): k* = 0.01 does not cover the dead-zone' in refusal
+    truth = data.channels['truth']
+    after = (truth['seq'] > pressed + 3) & (truth['seq'] < pressed + 60)
+    assert after.sum() > 40
+    assert (truth['w'][after] == 0.0).all()
+    instant = next(item['values']['plant.kick'][0] for item in actions)
+    inside = (truth['stamp'] > instant - 1e-6) & (truth['stamp'] < instant + 0.05 - 1e-6)
+    assert inside.any()
+    assert np.array_equal(truth['disturbance'] < -15.0, inside)
+    assert audit(data).passed
+    planned = plan(data, {})
+    assert planned.configuration.plant_settings.kick[1:] == (20.0, 0.05)
+    assert any('plant.dead_zone.b_r' in note for note in planned.notes)
+
+
+def compare(viewer, data):
+    """Assert that the rows a viewer got are the messages that were recorded."""
+    state, reference = data.channels['state'], data.channels['reference']
+    seq = viewer.column('seq')
+    assert (np.diff(seq) == 1.0).mean() > 0.99
+    for channel, column, key, field in (
+            (state, 'x0', 'seq', 'x0'), (state, 'round_trip', 'seq', 'round_trip'),
+            (reference, 'xd0', 'seq', 'xd0'), (data.channels['command'], 'v', 'echo_seq', 'v'),
+            (data.channels['terms'], 's', 'echo_seq', 's'),
+            (data.channels['truth'], 'w', 'seq', 'w')):
+        _, first = np.unique(channel[key], return_index=True)
+        known = dict(zip(channel[key][first].tolist(), channel[field][first].tolist(),
+                         strict=True))
+        shown = viewer.column(column)
+        pairs = [(value, known[number]) for number, value in zip(seq, shown, strict=True)
+                 if np.isfinite(value)]
+        there = sum(number in known for number in seq.tolist())
+        assert len(pairs) > 0.95 * there > 300, column
+        assert all(one == other for one, other in pairs), column
+    published = dict(zip(state['seq'].tolist(), state.publish_time.tolist(), strict=True))
+    assert all(abs(time_shown * 1e9 - published[number]) < 1e4 for number, time_shown in zip(
+        seq[1:], viewer.column('published')[1:], strict=True))
+
+
+def test_in_lockstep_the_loop_is_the_same_with_a_page(processes, tmp_path):
+    process, address = start(processes, tmp_path / 'run', '--duration', '5', '--lockstep')
+
+    async def look():
+        async with Viewer(address) as viewer:
+            await viewer.until(lambda: any(text.get('event') == 'finished'
+                                           for text in viewer.texts))
+            return viewer
+
+    asyncio.run(look())
+    assert process.wait() == 0
+    data = read_run(tmp_path / 'run')
+    run = simulate(load_configuration('servo', ['loop.duration=5', 'safety.fault_after=4000']))
+    command = data.channels['command']
+    assert np.array_equal(command['v'][np.argsort(command['seq'])], run.v)
+
+
+def test_a_page_shows_the_loop_of_its_own_namespace(processes, tmp_path):
+    for name, b_r in (('left', 0.25), ('right', 0.35)):
+        processes(*DZ, 'run', 'servo', '--quiet', '--duration', '600', '--namespace', f'/{name}',
+                  '--set', f'plant.dead_zone.b_r={b_r}')
+    page = processes(*NODE, 'live_node', '--ros-args', '-r', '__ns:=/right')
+    address = page.wait_for_line('live page:').split()[-1]
+
+    async def look():
+        async with Viewer(address) as viewer:
+            await viewer.until(viewer.running)
+            assert viewer.hello['namespace'] == '/right'
+            assert set(viewer.column('zone_high')[-50:]) == {0.35}
+            pressed = await viewer.ask('estop')
+            assert pressed['ok']
+            await viewer.until(lambda: any(text.get('mode') == 'estop' for text in viewer.texts))
+            await viewer.until(lambda: viewer.texts[-1]['kind'] == 'status' and len(
+                viewer.texts[-1]['nodes']) == 3)
+            assert all(text['node'].startswith('/right/') for text in viewer.texts
+                       if text['kind'] == 'event')
+
+    asyncio.run(look())
+
+
+@pytest.mark.parametrize(('parameter', 'message'), [
+    ('port:=70000', 'port = 70000: must be 0 to 65535'), ('minutes:=0.0', 'minutes = 0.0'),
+    ('host:=no.such.host.invalid', "host = 'no.such.host.invalid'")])
+def test_bad_parameters_are_one_line(processes, parameter, message):
+    process = processes(*NODE, 'live_node', '--ros-args', '-p', parameter)
+    assert process.wait() == 2
+    assert message in process.output
+    assert 'Traceback' not in process.output
+
+
+def test_foxglove_gets_the_very_bytes(processes, tmp_path):
+    pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
+    process = processes(*DZ, 'run', 'servo', '--quiet', '--duration', '600', '--record',
+                        tmp_path / 'run')
+    server = processes(*NODE, 'foxglove_node', '--ros-args', '-p', 'foxglove_port:=0')
+    address = server.wait_for_line('foxglove: ').split()[-1].replace('ws://', 'http://')
+
+    async def look():
+        found = {}
+        async with aiohttp.ClientSession() as session, session.ws_connect(
+                address, protocols=('foxglove.sdk.v1', 'foxglove.websocket.v1')) as ws:
+            channels = {}
+            while len(found) < 5 or any(len(item) < 100 for item in found.values()):
+                message = await ws.receive(TIME_OUT)
+                if message.type is aiohttp.WSMsgType.TEXT:
+                    text = json.loads(message.data)
+                    for channel in text.get('channels', ()):
+                        channels[channel['id']] = channel
+                        await ws.send_json({'op': 'subscribe', 'subscriptions': [
+                            {'id': channel['id'], 'channelId': channel['id']}]})
+                elif message.data[0] == 1:
+                    channel = channels[int.from_bytes(message.data[1:5], 'little')]
+                    if channel['topic'] != '/events':
+                        found.setdefault(channel['topic'], []).append(
+                            (int.from_bytes(message.data[5:13], 'little'), message.data[13:]))
+        return channels, found
+
+    channels, found = asyncio.run(look())
+    process.interrupt()
+    data = read_run(tmp_path / 'run')
+    assert {item['topic'] for item in channels.values()} == {f'/{name}' for name in CHANNELS}
+    for item in channels.values():
+        expected = CHANNELS[item['topic'].strip('/')].type
+        assert (item['encoding'], item['schemaName'], item['schema']) == (
+            'cdr', expected.name, expected.definition)
+    for topic, messages in found.items():
+        channel = data.channels[topic.strip('/')]
+        decode = ArrayCodec(channel.labels).decode
+        rows = {row[0]: (row, when) for row, when in zip(
+            channel.values.tolist(), channel.publish_time.tolist(), strict=True)}
+        for when, payload in messages[:-20]:
+            numbers = list(decode(payload))
+            assert (numbers, when) == rows[numbers[0]]

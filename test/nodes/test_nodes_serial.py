@@ -1,0 +1,103 @@
+"""The loop through a serial device, as processes: ours in Python and the firmware in C."""
+
+from pathlib import Path
+
+import pytest
+
+from dz_ros.files import load_configuration
+
+pytest.importorskip('serial', reason="pyserial is not installed: pip install 'dz_ros[serial]'")
+pytestmark = pytest.mark.ros
+
+ROOT = Path(__file__).parents[2]
+CONFIG = ROOT / 'config' / 'serial.yaml'
+NODE = ('-m', 'dz_ros.nodes.main')
+EMULATE = ('-m', 'dz_ros', 'driver', 'emulate', 'serial', str(CONFIG))
+
+
+@pytest.fixture(params=['emulated', 'firmware'])
+def loop(request, processes, watcher, tmp_path):
+    """Return a function that starts device and loop and returns them once the loop runs."""
+    port = tmp_path / 'port'
+    options = ['-o', f'link={port}']
+    if request.param == 'firmware':
+        options += ['-o', f'program={request.getfixturevalue("firmware")}']
+
+    def start(*faults, silence='3.0'):
+        device = processes(*EMULATE, *options, *(word for fault in faults
+                                                 for word in ('--fault', fault)))
+        device.wait_for_line('serial device on')
+        own = ('-p', f'driver.silence:={silence}', '-p', f'driver.port:={port}')
+        nodes = {name: processes(*NODE, name, '--ros-args', '--params-file', CONFIG,
+                                 *watcher.patient, *own)
+                 for name in ('actuator_node', 'controller_node', 'trajectory_node')}
+        watcher.running()
+        return device, nodes
+
+    return start
+
+
+def end(nodes):
+    for node in nodes.values():
+        assert node.interrupt() == 0
+        assert 'Traceback' not in node.output
+
+
+def test_the_adaptive_loop_tracks_through_the_line(loop, watcher):
+    device, nodes = loop()
+    # The bound is eps/lambda = 4.4 mrad at 200 Hz on a quiet machine.
+    watcher.tracked(load_configuration(CONFIG).trajectory, 0.01)
+    end(nodes)
+    assert device.poll() is None
+    assert device.interrupt() == 0
+
+
+@pytest.mark.parametrize(('fault', 'reason'), [
+    ('unplug@3+1', 'the line has gone'),
+    ('mute@3+1', 'said nothing'),
+    ('freeze@3+1', 'said nothing'),
+    ('restart@3', 'started anew'),
+    ('trip@3+1', 'reports fault 7'),
+])
+def test_a_device_in_trouble_is_a_fault_and_a_reset_goes_on(loop, watcher, fault, reason):
+    device, nodes = loop(fault, silence='0.3')
+    watcher.wait_for_mode(actuator_node='fault')
+    # Whichever of the limits is the first to see that nothing comes may say so.
+    said = watcher.modes()['actuator_node'][1]
+    assert reason in said or 'no measurement for' in said or 'said nothing' in said
+    device.wait_for_line(f'{fault.partition("@")[0]} ends')
+    watcher.wait(watcher.recovered)
+    watcher.wait_for_mode(actuator_node='running', controller_node='running')
+    watcher.running(50)
+    # It moves: the law is at work on what the device measures.
+    seen = len(watcher.states)
+    watcher.wait(lambda: len({data[2] for data in watcher.states[seen:]}) > 20)
+    end(nodes)
+
+
+def test_damage_on_the_line_does_not_stop_the_loop(loop, watcher):
+    device, nodes = loop('corrupt@2+2=0.003', 'lose@2+2=0.002', 'garbage@3=3000')
+    device.wait_for_line('corrupt ends')
+    watcher.running(100)
+    assert 'fault' not in {event.get('mode') for event in watcher.events
+                           if event['node'] == '/actuator_node'}
+    positions = [data[2] for data in watcher.states]
+    # Speeds stay below 3 rad/s: no step of the angle that a wrong number would be.
+    stamps = [data[1] for data in watcher.states]
+    for place in range(1, len(positions)):
+        span = max(stamps[place] - stamps[place - 1], 0.0) + 0.25
+        assert abs(positions[place] - positions[place - 1]) < 6.0 * span
+    end(nodes)
+
+
+def test_a_killed_actuator_node_leaves_a_device_that_another_one_can_take(
+        loop, watcher, processes):
+    _, nodes = loop()
+    watcher.running(400)
+    nodes['actuator_node'].signal(9)
+    nodes['actuator_node'].wait()
+    # The port is free again, and another one greets the device and goes on.
+    another = processes(*nodes['actuator_node'].command)
+    heard = len(watcher.states)
+    watcher.wait(lambda: len(watcher.states) > heard + 20)
+    assert another.interrupt() == 0

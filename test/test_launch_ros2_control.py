@@ -1,0 +1,114 @@
+"""launch/ros2_control.launch.py, run with stand-ins for launch; and the controllers it names."""
+
+import importlib.util
+from pathlib import Path
+import sys
+import types
+
+import pytest
+import yaml
+
+from dz_ros.files import load_configuration
+
+ROOT = Path(__file__).parent.parent
+FILE = ROOT / 'launch' / 'ros2_control.launch.py'
+CONTROLLERS = ROOT / 'launch' / 'joint_controllers.yaml'
+NODES = ['actuator_node', 'controller_node', 'trajectory_node']
+
+
+class Made:
+    """Whatever a launch file makes: what it is made of is kept."""
+
+    def __init__(self, *positional, **named):
+        self.positional, self.named = positional, named
+
+    def perform(self, context):
+        return context[self.positional[0]]
+
+
+@pytest.fixture
+def launch_file(monkeypatch):
+    kinds = {'launch': ['LaunchDescription'],
+             'launch.actions': ['DeclareLaunchArgument', 'EmitEvent', 'OpaqueFunction',
+                                'RegisterEventHandler'],
+             'launch.event_handlers': ['OnProcessExit'], 'launch.events': ['Shutdown'],
+             'launch.substitutions': ['LaunchConfiguration'], 'launch_ros': [],
+             'launch_ros.actions': ['Node']}
+    for name, classes in kinds.items():
+        module = types.ModuleType(name)
+        for kind in classes:
+            setattr(module, kind, type(kind, (Made,), {}))
+        monkeypatch.setitem(sys.modules, name, module)
+    index = types.ModuleType('ament_index_python.packages')
+    index.get_package_share_directory = lambda package: str(ROOT)
+    monkeypatch.setitem(sys.modules, 'ament_index_python.packages', index)
+    spec = importlib.util.spec_from_file_location('ros2_control_launch', FILE)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def started(launch_file, **given):
+    """Executable → node for these arguments; each of ours ends the launch with it."""
+    defaults = {item.positional[0]: item.named['default_value']
+                for item in launch_file.generate_launch_description().positional[0]
+                if type(item).__name__ == 'DeclareLaunchArgument'}
+    assert set(given) <= set(defaults)
+    actions = launch_file.nodes({**defaults, **given})
+    nodes = [item for item in actions if type(item).__name__ == 'Node']
+    watched = [item.positional[0].named['target_action'] for item in actions if item not in nodes]
+    # A spawner ends when it is done.
+    assert watched == [node for node in nodes if node.named['package'] == 'dz_ros']
+    return {node.named['executable']: node.named for node in nodes}
+
+
+def test_defaults_start_the_loop_alone(launch_file):
+    nodes = started(launch_file)
+    assert list(nodes) == NODES
+    for name, node in nodes.items():
+        config, settings = node['parameters']
+        assert node['name'] == name
+        assert Path(config) == ROOT / 'config' / 'joint.yaml'
+        assert settings == {'loop.peers': ['plant_node', 'controller_node', 'trajectory_node'],
+                            'driver.name': 'joint'}
+
+
+def test_arguments_reach_every_node(launch_file, tmp_path):
+    file = tmp_path / 'mine.yaml'
+    file.write_text('')
+    nodes = started(launch_file, config=str(file), duration='60', record='relative',
+                    joint='elbow', spawn='joint_state_broadcaster, effort_controller')
+    assert list(nodes) == ['spawner', *NODES, 'recorder_node']
+    spawner = nodes.pop('spawner')
+    assert spawner['package'] == 'controller_manager'
+    assert spawner['arguments'] == ['joint_state_broadcaster', 'effort_controller',
+                                    '--param-file', str(CONTROLLERS)]
+    for node in nodes.values():
+        config, settings = node['parameters']
+        assert config == str(file)
+        assert settings['loop.duration'] == 60.0
+        assert settings['driver.joint'] == 'elbow'
+        assert settings['loop.peers'][-1] == 'recorder_node'
+    assert nodes['recorder_node']['parameters'][1]['directory'] == str(Path('relative').absolute())
+
+
+@pytest.mark.parametrize('given', [{'duration': 'long'}, {'config': 'none_of_that_name'}])
+def test_mistakes_are_named(launch_file, given):
+    ((key, value),) = given.items()
+    with pytest.raises(RuntimeError, match=f'{key}:={value}: '):
+        started(launch_file, **given)
+
+
+def test_controllers_and_configuration_agree():
+    content = yaml.safe_load(CONTROLLERS.read_text(encoding='utf-8'))
+    manager = content.pop('controller_manager')['ros__parameters']
+    configuration = load_configuration('joint')
+    assert manager.pop('update_rate') >= configuration.loop.rate
+    assert {value['type'] for value in manager.values()} == {
+        'joint_state_broadcaster/JointStateBroadcaster',
+        'forward_command_controller/ForwardCommandController'}
+    ((name, section),) = content.items()
+    driver = configuration.driver_parameters
+    assert name in manager
+    assert driver.command_topic == f'/{name}/commands'
+    assert section['ros__parameters'] == {'joints': [driver.joint], 'interface_name': 'effort'}

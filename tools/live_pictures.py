@@ -1,0 +1,132 @@
+"""Take the pictures of the live page for README.md and docs/: a loop whose dead-zone changes.
+
+    python tools/live_pictures.py [--out DIR]
+
+Runs a recorded loop with its page, changes the dead-zone and kicks the plant through the page, and
+photographs it in a headless chromium: as a desk, a phone and a wall screen see it, light and dark;
+then the recording, laid over another run. Needs the extras `ros` and `test`, and chromium.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+import contextlib
+import os
+from pathlib import Path
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+CHROMIUM = next((found for name in ('chromium', 'chromium-browser', 'google-chrome')
+                 if (found := shutil.which(name))), '')
+TIME_OUT = 120.0
+
+
+@contextlib.contextmanager
+def served(*words: str) -> Iterator[str]:
+    """Run `dz` with these words; yield the address of the page it prints."""
+    process = subprocess.Popen(
+        [sys.executable, '-m', 'dz_ros', *words], cwd=ROOT, stdout=subprocess.PIPE, text=True,
+        env={'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ})
+    assert process.stdout is not None
+    try:
+        for line in process.stdout:
+            if 'http://' in line:
+                yield next(word for word in line.split() if word.startswith('http://'))
+                break
+        else:
+            sys.exit('no page was served')
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=TIME_OUT)
+
+
+def until(page: Any, expression: str) -> None:
+    """Wait until an expression is true in the page."""
+    for _ in range(round(TIME_OUT / 0.05)):
+        if page.evaluate(f'() => ({expression})'):
+            return
+        page.wait_for_timeout(50)
+    sys.exit(f'never true in the page: {expression}; it says {page.inner_text("#state")}')
+
+
+def live(browser: Any, address: str, out: Path) -> None:
+    """Photograph a running loop."""
+    page = browser.new_page(viewport={'width': 1600, 'height': 1060})
+    page.goto(address)
+    until(page, 'dzRos.app.stores[0]?.last > 9')
+    page.fill('input[name="plant.dead_zone.b_r"]', '0.2')
+    page.fill('input[name="plant.dead_zone.b_l"]', '-0.15')
+    page.click('#section-plant button[type=submit]')
+    changed = page.evaluate('dzRos.app.stores[0].last')
+    until(page, f'dzRos.app.stores[0].last > {changed + 3.0}')
+    page.click('#kick button')
+    until(page, f'dzRos.app.stores[0].last > {changed + 6.0}')
+    page.evaluate('scrollTo(0, 0)')
+    page.wait_for_timeout(300)
+    page.screenshot(path=out / 'live_light.png')
+    page.emulate_media(color_scheme='dark')
+    page.wait_for_timeout(400)
+    page.screenshot(path=out / 'live_dark.png')
+    page.set_viewport_size({'width': 390, 'height': 844})
+    page.wait_for_timeout(600)
+    page.screenshot(path=out / 'live_phone.png')
+    page.set_viewport_size({'width': 3840, 'height': 2160})
+    page.wait_for_timeout(1500)
+    page.screenshot(path=out / 'live_wall.png')
+    page.close()
+
+
+def recorded(browser: Any, address: str, out: Path) -> None:
+    """Photograph two runs laid over each other."""
+    page = browser.new_page(viewport={'width': 1600, 'height': 900})
+    page.goto(address)
+    until(page, 'dzRos.app.stores[1]?.count > 100')
+    page.evaluate('dzRos.view.look(0, 6)')
+    box = page.locator('#figure-tracking .u-over').bounding_box()
+    page.mouse.move(box['x'] + 0.4 * box['width'], box['y'] + 20)
+    page.wait_for_timeout(600)
+    page.screenshot(path=out / 'live_runs.png')
+    page.close()
+
+
+def main() -> int:
+    """Take them all."""
+    parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
+    parser.add_argument('--out', type=Path, default=ROOT / 'docs' / 'images')
+    out = parser.parse_args().out
+    if not CHROMIUM:
+        sys.exit('no chromium here: apt-get install chromium')
+    from playwright.sync_api import sync_playwright
+
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as name, sync_playwright() as driver:
+        folder = Path(name)
+        arguments = ['--no-sandbox'] if os.geteuid() == 0 else []
+        # It draws without a graphics card, and must not take the time from the loop it shows.
+        behind = folder / 'chromium'
+        behind.write_text(f'#!/bin/sh\nexec nice -n 15 {CHROMIUM} "$@"\n', encoding='utf-8')
+        behind.chmod(0o755)
+        browser = driver.chromium.launch(executable_path=behind, args=arguments)
+        with served('run', 'robust', '--duration', '300', '--quiet', '--live', '--record',
+                    str(folder / 'robust')) as address:
+            live(browser, address, out)
+        subprocess.run([sys.executable, '-m', 'dz_ros', 'simulate', 'wang2004', '--record',
+                        str(folder / 'wang2004')], cwd=ROOT, check=True,
+                       stdout=subprocess.DEVNULL)
+        with served('report', str(folder / 'robust'), '--serve', '--over',
+                    str(folder / 'wang2004')) as address:
+            recorded(browser, address, out)
+        browser.close()
+    for path in sorted(out.glob('live_*.png')):
+        print(path)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

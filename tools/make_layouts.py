@@ -1,0 +1,165 @@
+"""Write the layouts for Foxglove, Lichtblick and PlotJuggler from the labels of the messages.
+
+    python tools/make_layouts.py [CONFIG] [--out DIR] [--namespace NS]
+
+What is in config/layouts/ is for `robust` on a plant of order 2; another order, law or namespace
+needs its own. A topic's numbers are an array in these tools; a layout names each: as the label
+of a series in Foxglove and Lichtblick, as a curve of its own in PlotJuggler.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+import sys
+from typing import Any
+import xml.etree.ElementTree as ET
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from dz_ros.core.configuration import Configuration  # noqa: E402
+from dz_ros.files import load_configuration  # noqa: E402
+from dz_ros.live.stated import labels_of  # noqa: E402
+
+COLOURS = ('#0072b2', '#d55e00', '#009e73', '#e69f00', '#cc79a7', '#56b4e9', '#8c8c8c')
+Names = dict[str, tuple[str, int]]
+"""Field → its topic and place."""
+
+
+def names_of(c: Configuration) -> Names:
+    """Return every field of the messages that is worth a curve, by its label."""
+    found: Names = {}
+    for topic, labels in labels_of(c).items():
+        for place, name in enumerate(labels):
+            if name not in ('seq', 'stamp', 'echo_seq', 'echo_stamp', 'reference_seq') \
+                    and not name.endswith('_before'):
+                found.setdefault(name, (topic, place))
+    return found
+
+
+def plots(names: Names) -> list[tuple[str, list[str]]]:
+    """Return title and fields of each plot, those of the live page."""
+    estimates = [name for name in names if name.startswith('theta') or name == 'phi']
+    wanted = [('Output and reference', ['xd0', 'x0']), ('Command v, behind the dead-zone w',
+                                                        ['v', 'w']),
+              ('Filtered error s, layer epsilon', ['s', 's_eps', 'epsilon']),
+              ('Parts of v', ['v_damping', 'v_feed_forward', 'v_regressor', 'v_robust',
+                              'v_extra']),
+              ('Estimates', estimates), ('Round trip, hold [s]', ['round_trip', 'hold'])]
+    there = [(title, [name for name in fields if name in names]) for title, fields in wanted]
+    return [item for item in there if item[1]]
+
+
+def foxglove(names: Names, place: str) -> dict[str, Any]:
+    """Return a layout for Foxglove and Lichtblick: live by foxglove-sdk or a bridge, and MCAP."""
+    panels: dict[str, Any] = {}
+    for number, (title, fields) in enumerate(plots(names)):
+        panels[f'Plot!dz{number}'] = {
+            'title': title, 'isSynced': True, 'showLegend': True, 'legendDisplay': 'floating',
+            'showPlotValuesInLegend': True, 'showXAxisLabels': True, 'showYAxisLabels': True,
+            'xAxisVal': 'timestamp', 'followingViewWidth': 20, 'sidebarDimension': 240,
+            'foxglovePanelTitle': title,
+            'paths': [{'value': f'{place}/{names[name][0]}.data[{names[name][1]}]',
+                       'label': name, 'enabled': True, 'timestampMethod': 'receiveTime',
+                       'color': COLOURS[at % len(COLOURS)]} for at, name in enumerate(fields)]}
+    panels['RawMessages!events'] = {'topicPath': f'{place}/events.data',
+                                    'foxglovePanelTitle': 'Events'}
+    return {'configById': panels, 'globalVariables': {}, 'userNodes': {},
+            'playbackConfig': {'speed': 1}, 'layout': _mosaic(list(panels), 'row')}
+
+
+def _mosaic(panels: list[str], direction: str) -> Any:
+    """Return panels side by side and below each other, halved again and again."""
+    if len(panels) == 1:
+        return panels[0]
+    half = -(-len(panels) // 2)
+    other = 'column' if direction == 'row' else 'row'
+    return {'direction': direction, 'first': _mosaic(panels[:half], other),
+            'second': _mosaic(panels[half:], other),
+            'splitPercentage': round(100.0 * half / len(panels), 1)}
+
+
+def plotjuggler(names: Names, place: str, live: bool) -> bytes:
+    """Return a layout for PlotJuggler: of live ROS topics, or of an MCAP file."""
+    def under(parent: ET.Element, tag: str, text: str = '', /,
+              **attributes: str) -> ET.Element:
+        found = ET.SubElement(parent, tag, attributes)
+        found.text = text or None
+        return found
+
+    root = ET.Element('root')
+    window = under(root, 'tabbed_widget', name='Main Window', parent='main_window')
+    container = under(under(window, 'Tab', tab_name='dz_ros', containers='1'), 'Container')
+    shown = [('Error', ['error']), *plots(names)]
+    columns = under(container, 'DockSplitter', orientation='|', count='2', sizes='0.5;0.5')
+    for part in (shown[::2], shown[1::2]):
+        rows = under(columns, 'DockSplitter', orientation='-', count=str(len(part)),
+                     sizes=';'.join([f'{1.0 / len(part):.6f}'] * len(part)))
+        for title, fields in part:
+            plot = under(under(rows, 'DockArea', name=title), 'plot', mode='TimeSeries',
+                         style='Lines', flip_x='false', flip_y='false')
+            under(plot, 'range', left='0', right='20', bottom='-1', top='1')
+            under(plot, 'limitY')
+            for at, name in enumerate(fields):
+                under(plot, 'curve', name=name, color=COLOURS[at % len(COLOURS)])
+    under(window, 'currentTabIndex', index='0')
+    under(root, 'use_relative_time_offset', enabled='1')
+    plugins = under(root, 'Plugins')
+    topics = [f'{place}/{topic}' for topic in dict.fromkeys(topic for topic, _ in names.values())]
+    if live:
+        plugin = under(plugins, 'plugin', ID='ROS2 Topic Subscriber')
+        under(plugin, 'use_header_stamp', value='false')
+        under(plugin, 'discard_large_arrays', value='true')
+        under(plugin, 'max_array_size', value='100')
+        chosen = under(plugin, 'selected_topics')
+        for topic in topics:
+            under(chosen, 'topic', name=topic)
+        under(root, 'previouslyLoaded_Streamer', name='ROS2 Topic Subscriber')
+    else:
+        under(under(plugins, 'plugin', ID='DataLoad MCAP'), 'parameters', max_array_size='100',
+              use_timestamp='0', clamp_large_arrays='0', selected_topics=';'.join(topics))
+    equations = under(root, 'customMathEquations')
+    curves = {name: ('return value', [name]) for name in names}
+    curves['error'] = ('return value - v1', ['x0', 'xd0'])
+    for name, (function, sources) in curves.items():
+        snippet = under(equations, 'snippet', name=name)
+        under(snippet, 'global')
+        under(snippet, 'function', function)
+        first, *others = (f'{place}/{names[item][0]}/data[{names[item][1]}]' for item in sources)
+        under(snippet, 'linked_source', first)
+        if others:
+            more = under(snippet, 'additional_sources')
+            for number, source in enumerate(others, 1):
+                under(more, f'v{number}', source)
+    ET.indent(root, ' ')
+    return ET.tostring(root, encoding='UTF-8', xml_declaration=True) + b'\n'
+
+
+def layouts(c: Configuration, namespace: str = '') -> dict[str, bytes]:
+    """Return file name → contents."""
+    names, place = names_of(c), f'/{namespace.strip("/")}' if namespace.strip('/') else ''
+    text = json.dumps(foxglove(names, place), indent=1, ensure_ascii=False) + '\n'
+    return {'foxglove.json': text.encode(),
+            'plotjuggler_ros2.xml': plotjuggler(names, place, True),
+            'plotjuggler_mcap.xml': plotjuggler(names, place, False)}
+
+
+def main() -> int:
+    """Write the files."""
+    parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
+    parser.add_argument('config', nargs='?', default='robust', help='configuration, as of dz run')
+    parser.add_argument('--out', type=Path, default=ROOT / 'config' / 'layouts')
+    parser.add_argument('--namespace', default='', help='of the loop')
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for name, contents in layouts(load_configuration(arguments.config),
+                                  arguments.namespace).items():
+        (arguments.out / name).write_bytes(contents)
+        print(arguments.out / name)
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
