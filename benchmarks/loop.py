@@ -30,6 +30,8 @@ ECHOES = {'events, UDP': ('events', 'UDPv4'), 'events, shared memory': ('events'
 PARTS = ('latency', 'cpu', 'rates', 'soak')
 RATES = (1000.0, 1250.0, 1500.0, 2000.0, 2500.0, 3000.0)
 LATE_SHARE = 0.005
+PRIORITY = 50
+"""Of SCHED_FIFO, where it is permitted."""
 
 
 def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
@@ -38,11 +40,16 @@ def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
         name: [] for name in ECHOES if not quick or name in ('events, UDP', 'plain')}
     loops: list[running.Measured] = []
     ticks: list[list[float]] = []
+    first: list[running.Measured] = []
+    permitted = not quick and not running.refused('--priority', str(PRIORITY))
     seconds = 3.0 if quick else 4.0
     for turn in range(rounds):
         for name in echoes:
             echoes[name].append(running.echo(*ECHOES[name], seconds))
         loops.append(running.loop(2.0 * seconds, folder / f'loop-{turn}'))
+        if permitted:
+            first.append(running.loop(2.0 * seconds, folder / f'first-{turn}',
+                                      f'process.priority={PRIORITY}'))
         ticks.append(running.bare_ticks(seconds))
         say(f'turn {turn + 1} of {rounds}: loop p50 '
             f'{1e6 * statistics.median(loops[-1].round_trips):.0f} µs, ' + ', '.join(
@@ -67,6 +74,11 @@ def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
             detail=f'loop {brief(period)}; bare {brief(bare)}'),
         Row('ticks too late', sum(turn.too_late for turn in loops), 0.0, 'of them'),
         Row('ticks late', 100.0 * late / samples, 0.2, '%', detail=f'{late} of {samples}')]
+    if first:
+        fifo = spread([item for turn in first for item in turn.round_trips], 1e6)
+        rows += [Row(f'the same with `process.priority: {PRIORITY}` (the echo without), {key}',
+                     fifo[key] / pooled[floor][key], detail=brief(fifo) if key == 'p50' else '')
+                 for key in ('p50', 'p99')]
     others = [name for name in pooled if name not in (floor, 'plain')]
     return rows + [Row(f'another echo ({name}) over the best, p50',
                        pooled[name]['p50'] / pooled[floor]['p50'], detail=brief(pooled[name]))
@@ -152,9 +164,9 @@ def measure(quick: bool = False, parts: tuple[str, ...] = PARTS, rounds: int = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if 'latency' in parts:
-            rows += latency(folder, rounds or (1 if quick else 4), quick)
+            rows += latency(folder, rounds or (1 if quick else 2), quick)
         if 'cpu' in parts:
-            rows += cpu(folder, rounds or (1 if quick else 3), quick)
+            rows += cpu(folder, rounds or (1 if quick else 2), quick)
         if 'rates' in parts:
             rows += rates(folder, quick)
         if 'soak' in parts and not quick:

@@ -16,6 +16,7 @@ import argparse
 from collections.abc import Callable
 from dataclasses import asdict
 import json
+import os
 from pathlib import Path
 import sys
 import time
@@ -71,7 +72,8 @@ def main() -> int:
     parser.add_argument('--only', nargs='+', choices=(*PARTS, 'profile'), metavar='PART')
     parser.add_argument('--keep', type=Path, metavar='FILE')
     arguments = parser.parse_args()
-    print(describe(*PACKAGES), flush=True)
+    load = os.getloadavg()[1]
+    print(f'{describe(*PACKAGES)}, load average {load:.1f}', flush=True)
     kept: dict[str, list[Row]] = {}
     if arguments.keep is not None and arguments.keep.exists():
         kept = {part: [Row(**row) for row in rows]
@@ -87,7 +89,8 @@ def main() -> int:
             {part: [asdict(row) for row in found] for part, found in kept.items()}, indent=1))
     code = show(rows)
     if arguments.write:
-        put('table', [f'Measured on {describe(*PACKAGES)}.', '', *markdown(rows)])
+        put('table', [f'Measured on {describe(*PACKAGES)}; load average over five minutes before '
+                      f'it began: {load:.1f} (0 = an idle machine).', '', *markdown(rows)])
         if not arguments.only or 'law' in arguments.only:
             put('law steps', law.grids(arguments.quick))
         if not arguments.only or 'profile' in arguments.only:

@@ -52,7 +52,8 @@ HEAD = ('figure', 'measured', 'target', '', 'behind it')
 def markdown(rows: Sequence[Row]) -> list[str]:
     """Return the table as lines of Markdown."""
     return ['| ' + ' | '.join(HEAD) + ' |', '|---|---|---|---|---|',
-            *('| ' + ' | '.join(row.cells()) + ' |' for row in rows)]
+            *('| ' + ' | '.join(cell.replace('|', '\\|') for cell in row.cells()) + ' |'
+              for row in rows)]
 
 
 def show(rows: Sequence[Row]) -> int:

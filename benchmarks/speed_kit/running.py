@@ -71,6 +71,13 @@ def told(started: subprocess.Popen[str]) -> Any:
     return json.loads(out)
 
 
+def refused(*words: str) -> bool:
+    """Whether the system refuses what a probe asks for."""
+    with process(['-m', 'dz_ros.runtime.probe', '--duration', '0.1', *words],
+                 environment()) as probe:
+        return bool(told(probe)['refused'])
+
+
 def echo(way: str, transport: str, duration: float) -> list[float]:
     """Return the round trips of a bare two-process echo [s]."""
     with bare('pong', '--way', way, transport=transport), bare(

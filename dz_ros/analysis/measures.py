@@ -15,6 +15,8 @@ WINDOW = 10.0
 """Default length of the window at the end of a run [s]."""
 CORNER = 10.0
 """Corner of the high-pass applied to v [Hz]."""
+SHORT = 20_000
+"""Up to so many samples are filtered in plain Python."""
 
 
 def choose_window(t: Array, window: tuple[float, float] | None = None) -> tuple[float, float]:
@@ -65,11 +67,38 @@ def high_passed(v: Array, rate: float, corner: float = CORNER) -> Array | None:
         rate: Samples per second; must exceed twice the corner.
         corner: Corner of the 4th-order Butterworth high-pass, run forwards and backwards [Hz].
     """
-    from scipy import signal
     if rate <= 2.0 * corner or len(v) < 30 or not np.isfinite(v).all():
         return None
+    if len(v) <= SHORT:
+        return both_ways(v, rate, corner)
+    from scipy import signal
     sections = signal.butter(4, corner, 'highpass', fs=rate, output='sos')
     return np.asarray(signal.sosfiltfilt(sections, v))
+
+
+def both_ways(v: Array, rate: float, corner: float) -> Array:
+    """Return what `high_passed` does without scipy, whose import takes longer than a simulation.
+
+    Two sections of second order by the bilinear transform, quality 1/(2 cos π/8), 1/(2 cos 3π/8);
+    begun in the steady state of the first value, with 15 samples mirrored in each end.
+    """
+    k = math.tan(math.pi * corner / rate)
+    edge = 15
+    x = np.concatenate((2.0 * v[0] - v[edge:0:-1], v, 2.0 * v[-1] - v[-2:-edge - 2:-1])).tolist()
+    for _ in range(2):
+        first = x[0]
+        for damping in (2.0 * math.cos(math.pi / 8.0), 2.0 * math.cos(3.0 * math.pi / 8.0)):
+            scale = 1.0 / (1.0 + damping * k + k * k)
+            a1, a2 = 2.0 * (k * k - 1.0) * scale, (1.0 - damping * k + k * k) * scale
+            z1, z2 = -scale * first, scale * first
+            first = 0.0
+            for i, value in enumerate(x):
+                y = scale * value + z1
+                z1 = z2 - 2.0 * scale * value - a1 * y
+                z2 = scale * value - a2 * y
+                x[i] = y
+        x.reverse()
+    return np.array(x[edge:-edge])
 
 
 def largest(values: Array) -> float | None:

@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from dz_ros.analysis.measures import choose_window, high_passed, settled_after, variation
+from dz_ros.analysis.measures import (
+    both_ways,
+    choose_window,
+    high_passed,
+    settled_after,
+    SHORT,
+    variation,
+)
 from dz_ros.analysis.metrics import jsonable, Metrics
 from dz_ros.analysis.setting import Setting
 from dz_ros.analysis.view import View
@@ -236,3 +243,15 @@ def test_setting_knows_units_and_true_values(simulated):
         name: channel for name, channel in simulated().channels.items() if name != 'truth'})
     assert not Setting.of(real).simulated
     assert Setting.of(real).true_signals == {}
+
+
+@pytest.mark.parametrize('rate', [50.0, 200.0, 1000.0])
+@pytest.mark.parametrize('length', [30, 200, SHORT])
+def test_the_high_pass_is_that_of_scipy(rate, length):
+    signal = pytest.importorskip('scipy.signal')
+    v = np.random.default_rng(length).standard_normal(length).cumsum() + 7.0
+    sections = signal.butter(4, 10.0, 'highpass', fs=rate, output='sos')
+    expected = signal.sosfiltfilt(sections, v)
+    assert np.abs(both_ways(v, rate, 10.0) - expected).max() < 1e-9 * np.abs(v).max()
+    longer = np.concatenate((v, np.full(SHORT, v[-1])))     # filtered by scipy itself
+    assert high_passed(longer, rate).shape == longer.shape

@@ -36,8 +36,8 @@ def test_a_row_knows_whether_it_is_met(value, target, least, met, capsys):
 
 
 def test_a_table_has_a_line_for_each_row():
-    lines = markdown([Row('a', 1.0), Row('b', 2.0, 3.0, 'µs', detail='c')])
-    assert lines[2:] == ['| a | 1× |  |  |  |', '| b | 2 µs | ≤ 3 µs | met | c |']
+    lines = markdown([Row('|a|', 1.0), Row('b', 2.0, 3.0, 'µs', detail='c')])
+    assert lines[2:] == ['| \\|a\\| | 1× |  |  |  |', '| b | 2 µs | ≤ 3 µs | met | c |']
 
 
 def test_spreads_are_percentiles():
