@@ -19,6 +19,12 @@ EXECUTABLES = ('dz', 'plant_node', 'actuator_node', 'controller_node', 'trajecto
 TIME_LIMIT = 1800
 
 
+def files(folder: Path) -> set[str]:
+    """Return the files below a folder, relative to it; not what Python leaves there."""
+    return {path.relative_to(folder).as_posix() for path in folder.rglob('*')
+            if path.is_file() and path.suffix != '.pyc'}
+
+
 def main() -> int:
     """Build, test, look; return 0, or 1 with the first thing that is wrong."""
     environment = dict(os.environ)
@@ -56,9 +62,9 @@ def check(folder: Path, environment: dict[str, str]) -> None:
         path = prefix / 'lib' / NAME / executable
         assert os.access(path, os.X_OK), f'lib/{NAME}/{executable} is missing or not executable'
     for kind in ('config', 'launch'):
-        sources = {path.name for path in (ROOT / kind).glob('*') if path.is_file()}
-        shipped = {path.name for path in (prefix / 'share' / NAME / kind).glob('*')}
-        assert sources == shipped, f'share/{NAME}/{kind} lacks {sorted(sources - shipped)}'
+        sources, shipped = files(ROOT / kind), files(prefix / 'share' / NAME / kind)
+        assert sources == shipped, (f'share/{NAME}/{kind} differs in '
+                                    f'{sorted(sources ^ shipped)}')
     use(prefix, folder, environment)
     colcon('test', *bases, *paths, '--return-code-on-test-failure', '--event-handlers',
            'console_direct+', '--pytest-args', '-m', 'not ros')

@@ -144,8 +144,12 @@ class LoopNode(Node):
         """
         self.event('configuration', version=version(), owns=owns,
                    rmw=rclpy.get_rmw_implementation_identifier(),
-                   configuration=self.configuration.to_flat(),
+                   configuration=self.stated(),
                    set_aside=self.configuration.set_aside, **details)
+
+    def stated(self) -> dict[str, Any]:
+        """Return the dotted keys this node can speak for, with their values."""
+        return self.configuration.to_flat()
 
     def missing(self) -> list[str]:
         """Return which peers do not listen yet to what this node publishes, in words."""

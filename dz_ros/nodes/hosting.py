@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import math
 import time
+from typing import Any
 
+from dz_ros.core import schema
 from dz_ros.core.finding import INFO
 from dz_ros.core.latency import Latency
 from dz_ros.core.observation import check_observer
@@ -79,6 +81,16 @@ class Hosting(GuardedNode):
                                          in self._guard.guard.rejected().items()})
         self._hosted.report(report)
         return report
+
+    def stated(self) -> dict[str, Any]:
+        """Return the dotted keys; of a real actuator nobody knows the dead-zone or x(0)."""
+        flat = super().stated()
+        if self._simulated:
+            return flat
+        model = {'model', *(item.name for item in schema.fields(
+            type(self.configuration.plant.parameters)))}
+        return {key: value for key, value in flat.items()
+                if not key.startswith('plant.') or key.partition('.')[2] in model}
 
     def set_up(self) -> None:
         """Offer states, listen to commands."""
