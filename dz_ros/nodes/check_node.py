@@ -105,6 +105,7 @@ class CheckNode(LoopNode):
 
     def _bad_messages(self) -> Result:
         """NaN, infinities, seq back and far ahead, wrong labels: none may be echoed."""
+        self._wait(0.1)     # commands were not sent while figures were made; then any seq is taken
         last, bad = self._seq, []
         state = self._evidence.states[-1]
         labels = Command.labels()
