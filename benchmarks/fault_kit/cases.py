@@ -20,6 +20,8 @@ from fault_kit.loop import Loop, ROOT
 from std_msgs.msg import Bool
 
 from dz_ros.core.records import Command, State
+from dz_ros.recording.reader import read_run
+from dz_ros.recording.recover import recover
 
 RIDE, LATCH, EITHER = 'rides through', 'safe, then fault until reset', 'safe; fault if it lasts'
 RELAY = {'controller_node': (), 'trajectory_node': (),
@@ -147,6 +149,38 @@ def full_disk(loop: Loop) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def kill_recorder(loop: Loop) -> None:
+    """Kill the recorder, start another; of the first all but its last second can be recovered.
+
+    Raises:
+        AssertionError: It is not, or the second recorder lost something.
+    """
+    folder = Path(tempfile.mkdtemp(prefix='dz_ros-fault-'))
+    try:
+        first = loop.start('recorder_node', '-p', f'directory:={folder / "first"}')
+        loop.until(lambda: any((folder / 'first').glob('*.mcap')))
+        loop.pass_time(5.0)
+        killed = loop.now()
+        first.kill()
+        first.wait()
+        second = loop.start('recorder_node', '-p', f'directory:={folder / "second"}')
+        loop.until(lambda: any((folder / 'second').glob('*.mcap')))
+        loop.pass_time(5.0)
+        second.send_signal(signal.SIGINT)
+        second.wait(30.0)
+        del loop.processes['recorder_node']
+        recover(folder / 'first', folder / 'whole')
+        rows = read_run(folder / 'whole').channels['state']
+        after = read_run(folder / 'second').channels['state']
+        if rows['stamp'][-1] < killed - 1.0 or not len(after):
+            raise AssertionError(f'killed at {killed:g} s, recovered to {rows["stamp"][-1]:g} s')
+        for found in (rows['seq'], after['seq']):
+            if len(found) != found[-1] - found[0] + 1.0:
+                raise AssertionError('samples are missing in a recording')
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def step_clock(loop: Loop) -> None:
     """Set the wall clock that the nodes see an hour ahead, then an hour back, then right."""
     for shift in ('+1h', '-1h', '+0'):
@@ -199,5 +233,6 @@ CASES = (
     Case('link cut 2 s between two hosts', LATCH, cut_link, silence=True, two_hosts=True),
     Case('every core busy', EITHER, busy),
     Case("recorder's disk full", RIDE, full_disk),
+    Case('kill -9 recorder_node, restart', RIDE, kill_recorder),
     Case('e-stop at full speed', LATCH, press),
 )

@@ -55,7 +55,9 @@ def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
     age = (state['stamp'] - state['echo_stamp'])[1:]
     assert np.all(age > 0.004)
     assert np.median(age) == pytest.approx(0.005)
-    assert np.all(state['round_trip'][2:] > 0.0)
+    measured = state['round_trip'] > 0.0
+    assert measured[np.argmax(measured):].all()     # from the first answer on
+    assert measured.mean() > 0.5
     # The first answer to a state says how long it took; a safe command sent after it does not.
     answers = np.unique(command['echo_seq'], return_index=True)[1]
     assert np.all(command['hold'][answers] > 0.0)
