@@ -9,7 +9,7 @@ said to be unseen. Results are JSON lines on standard output, for ``dz driver ch
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 import json
 import math
@@ -107,20 +107,22 @@ class CheckNode(LoopNode):
         """NaN, infinities, seq back and far ahead, wrong labels: none may be echoed."""
         self._wait(0.1)     # commands were not sent while figures were made; then any seq is taken
         last, bad = self._seq, []
-        state = self._evidence.states[-1]
-        labels = Command.labels()
-        for seq, v, stamp in ((400, math.nan, 0.0), (410, math.inf, 0.0), (420, -math.inf, 0.0),
+        before, labels = len(self._evidence.states), Command.labels()
+
+        def send(number: int, v: float = 0.0, later: float = 0.0,
+                 names: Sequence[str] = labels) -> None:
+            """Send one between two good ones: of a burst a reader of the newest sees the last."""
+            state = self._evidence.states[-1]
+            bad.append(number)
+            self._evidence.send(names, (number, state.stamp + later, v, state.seq, state.stamp,
+                                        0.0)[:len(names)])
+            self._wait(2.3 * self._period)
+
+        for seq, v, later in ((400, math.nan, 0.0), (410, math.inf, 0.0), (420, -math.inf, 0.0),
                               (430, 0.0, math.nan), (5000, 0.0, 0.0), (-50, 0.0, 0.0)):
-            number = last + seq
-            bad.append(number)
-            self._evidence.send(labels, (number, state.stamp + stamp, v, state.seq, state.stamp,
-                                         0.0))
+            send(last + seq, v, later)
         for wrong in (('nonsense', *labels[1:]), labels[:-1]):
-            number = last + 440 + len(wrong)
-            bad.append(number)
-            self._evidence.send(wrong, (number, state.stamp, 0.0, state.seq, state.stamp,
-                                        0.0)[:len(wrong)])
-        before = len(self._evidence.states)
+            send(last + 440 + len(wrong), names=wrong)
         self._wait(0.5)
         seen = self._evidence.states[before:]
         taken = sorted({item.echo_seq for item in seen} & set(bad))
