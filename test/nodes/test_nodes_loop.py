@@ -49,7 +49,7 @@ def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
         assert list(channel['seq']) == list(range(len(channel))), name
     assert np.array_equal(command['echo_seq'], terms['echo_seq'])
     assert tuple(state.values[0, 2:4]) == (-2.5, 3.5)
-    assert state['stamp'][-1] == pytest.approx(6.0)
+    assert 6.0 - 1e-6 < state['stamp'][-1] < 7.0     # a stall may skip the last sample's period
     assert np.all(np.diff(state['stamp']) > 0.004)
     # A state echoes the newest command before it: that of the sample before, mostly.
     age = (state['stamp'] - state['echo_stamp'])[1:]
