@@ -127,7 +127,8 @@ def test_files_are_what_ros_can_read(name):
 def test_files_list_every_value_that_matters(name):
     missing = set(Configuration.from_flat(read(name)).to_flat()) - set(read(name))
     optional = {'loop.peers', 'trajectory.file',
-                *(key for key in Configuration.from_flat({}).to_flat() if key[:7] == 'safety.'),
+                *(key for key in Configuration.from_flat({}).to_flat()
+                  if key.startswith(('safety.', 'driver.', 'process.'))),
                 *(f'plant.dead_zone.{item}_drift' for item in ('m_r', 'm_l', 'b_r', 'b_l'))}
     assert missing <= optional
     if name == 'wang2004':
