@@ -182,10 +182,29 @@ def kill_recorder(loop: Loop) -> None:
 
 
 def step_clock(loop: Loop) -> None:
-    """Set the wall clock that the nodes see an hour ahead, then an hour back, then right."""
-    for shift in ('+1h', '-1h', '+0'):
-        loop.clock.write_text(shift)
-        time.sleep(3.0)
+    """Set the wall clock that the nodes see an hour ahead, then an hour back, then right.
+
+    Raises:
+        AssertionError: A recording made meanwhile has times that are not those of the loop.
+    """
+    folder = Path(tempfile.mkdtemp(prefix='dz_ros-fault-'))
+    try:
+        recorder = loop.start('recorder_node', '-p', f'directory:={folder / "run"}')
+        loop.until(lambda: any((folder / 'run').glob('*.mcap')))
+        loop.pass_time(3.0)
+        for shift in ('+1h', '-1h', '+0'):
+            loop.clock.write_text(shift)
+            time.sleep(3.0)
+        recorder.send_signal(signal.SIGINT)
+        recorder.wait(30.0)
+        del loop.processes['recorder_node']
+        states = read_run(folder / 'run').channels['state']
+        passed = (states.log_time - states.log_time[0]) * 1e-9
+        worst = abs(passed - (states['stamp'] - states['stamp'][0])).max()
+        if len(states) < 1000 or worst > 2.0:
+            raise AssertionError(f'{len(states)} states, log times off by up to {worst:.1f} s')
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def cut_link(_loop: Loop) -> None:

@@ -55,9 +55,13 @@ class Loop:
         self.clock = parameters.with_name('clock')
         self.clock.write_text('+0')
         if clock:       # CLOCK_REALTIME alone, of these processes alone
+            # The library fails the clock_nanosleep() on which CPython's time.sleep() stands.
+            parameters.with_name('sitecustomize.py').write_text(
+                'import select, time\ntime.sleep = lambda s: select.select((), (), (), s)\n')
             self._environment |= {
-                'LD_PRELOAD': str(FAKETIME), 'FAKETIME_TIMESTAMP_FILE': str(self.clock),
-                'FAKETIME_CACHE_DURATION': '1', 'FAKETIME_DONT_FAKE_MONOTONIC': '1'}
+                'PYTHONPATH': f'{ROOT}:{parameters.parent}', 'LD_PRELOAD': str(FAKETIME),
+                'FAKETIME_TIMESTAMP_FILE': str(self.clock), 'FAKETIME_CACHE_DURATION': '1',
+                'FAKETIME_DONT_FAKE_MONOTONIC': '1'}
         self._prefix, self._remap = prefix or {}, remap or {}
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self.node = rclpy.create_node('fault_bench')

@@ -25,6 +25,7 @@ from dz_ros.nodes.base import LoopNode, SPIN_LIMIT
 from dz_ros.nodes.diagnosing import Diagnosing
 from dz_ros.nodes.parameters import configure
 from dz_ros.nodes.taking import Store, Taker
+from dz_ros.recording.arrivals import Arrival, Arrivals
 from dz_ros.recording.cdr import decode_string
 from dz_ros.recording.channels import CHANNELS
 from dz_ros.recording.description import default_info
@@ -64,10 +65,8 @@ class RecorderNode(LoopNode):
         info = {**default_info(), 'mode': self.configuration.loop.timing,
                 'namespace': self.get_namespace()}
         self._writer = QueuedWriter(RunWriter(self._directory, info, {}))
-        # Log times advance with the steady clock: a step of the wall clock must not reorder a run.
-        self._epoch_ns = _epoch()
-        self._shift_ns = 0
-        self._batch: list[tuple[int, str, bytes, int]] = []
+        self._arrivals = Arrivals(_epoch(), time.monotonic_ns())
+        self._batch: list[Arrival] = []
         for name, channel in CHANNELS.items():
             topic = self.resolve_topic_name(name)
             qos = channel.qos
@@ -106,13 +105,9 @@ class RecorderNode(LoopNode):
     def _storer(self, name: str, topic: str) -> Store:
         """Return the callback that stores a topic's messages."""
         is_event = name == 'events'
-        last_ns = 0
 
         def store(payload: bytes, source_ns: int, received_ns: int) -> None:
-            nonlocal last_ns
-            # What was repaired came later than what it held up: a topic stays in its order.
-            last_ns = max((received_ns or time.time_ns()) + self._shift_ns, last_ns)
-            self._batch.append((last_ns, topic, payload, source_ns))
+            self._batch.append((received_ns, topic, payload, source_ns))
             if is_event:
                 self._keep_configuration(payload)
 
@@ -120,10 +115,10 @@ class RecorderNode(LoopNode):
 
     def _take(self, timeout: float) -> int:
         """Wait for messages, hand over all that have come in the order of their coming."""
-        self._shift_ns = self._epoch_ns - _epoch()
+        began_ns = time.monotonic_ns()
         taken = self._taker.take_all(timeout)
-        self._batch.sort(key=_log_time)
-        for log_ns, topic, payload, source_ns in self._batch:
+        for log_ns, topic, payload, source_ns in self._arrivals.settle(
+                self._batch, _epoch(), began_ns, time.monotonic_ns()):
             self._writer.put(topic, payload, log_ns, source_ns)
         self._batch.clear()
         return taken
@@ -177,10 +172,6 @@ class RecorderNode(LoopNode):
         super().close()
         if self._writer.error is not None:
             raise self._writer.error
-
-
-def _log_time(item: tuple[int, str, bytes, int]) -> int:
-    return item[0]
 
 
 def _epoch() -> int:
