@@ -23,7 +23,9 @@ GROUP = '239.74.163.2'
 PATIENT = ('safety.state_hold=100', 'safety.command_hold=100', 'safety.echo_limit=300',
            'safety.reference_hold=300', 'safety.fault_after=5000', 'driver.heartbeat_hold=2.0',
            'driver.command_hold=2.0', 'driver.answer_limit=1.0')
-S, STATUS = Terms.labels(()).index('s'), Terms.labels(()).index('status')
+OUTSIDE, STATUS = Terms.labels(()).index('s_eps'), Terms.labels(()).index('status')
+NEAR = 0.1
+"""Tracking: s is at most so far outside the layer [rad/s], 20 mrad of angle."""
 
 
 class Bus:
@@ -124,12 +126,11 @@ CASES = (
 
 def test_faults_are_latched_and_left_by_reset(processes, drive, bus, operator, settings):
     processes(*DZ, 'run', 'cia402', *settings, '--set', 'loop.duration=0.0', '--quiet')
-    epsilon = load_configuration('cia402').law.gains.epsilon
 
     def tracks():
         """Whether most of the last hundred samples were the law's, and near its layer."""
         last = [message.data for message in operator.heard['terms'][-100:]]
-        near = [abs(data[S]) < 2.0 * epsilon and not int(data[STATUS]) & Status.INACTIVE
+        near = [abs(data[OUTSIDE]) < NEAR and not int(data[STATUS]) & Status.INACTIVE
                 for data in last]
         return len(last) == 100 and sum(near) > 70
 

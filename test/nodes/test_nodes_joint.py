@@ -180,7 +180,7 @@ def start(processes, watcher, robot, *more, kind='forward', active=True):
 def test_the_adaptive_loop_tracks_through_the_controllers(
         processes, watcher, robot, measured):
     nodes = start(processes, watcher, robot, '-p', f'driver.measured:={measured}')
-    # The bound is eps/lambda = 4.4 mrad at 200 Hz on a quiet machine.
+    # The layer's bound is 8 mrad, less is usual at 200 Hz on a quiet machine.
     watcher.tracked(load_configuration(CONFIG).trajectory, 0.01)
     for node in nodes.values():
         assert node.interrupt() == 0
@@ -215,7 +215,7 @@ def test_joint_states_of_no_use_are_a_fault_and_a_reset_goes_on(
 def test_a_joint_of_another_name_never_starts_and_says_which_there_are(
         processes, watcher, robot):
     nodes = start(processes, watcher, robot, '-p', 'driver.joint:=knee',
-                  '-p', 'driver.patience:=1.0')
+                  '-p', 'driver.patience:=10.0')
     watcher.wait_for_mode(actuator_node='fault')
     assert watcher.modes()['actuator_node'][1] == (
         "joint 'knee' is not among those of /joint_states: shoulder, joint1")

@@ -45,7 +45,7 @@ def end(nodes):
 
 def test_the_adaptive_loop_tracks_through_the_line(loop, watcher):
     device, nodes = loop()
-    # The bound is eps/lambda = 4.4 mrad at 200 Hz on a quiet machine.
+    # The layer's bound is 8 mrad, less is usual at 200 Hz on a quiet machine.
     watcher.tracked(load_configuration(CONFIG).trajectory, 0.01)
     end(nodes)
     assert device.poll() is None
@@ -99,5 +99,6 @@ def test_a_killed_actuator_node_leaves_a_device_that_another_one_can_take(
     # The port is free again, and another one greets the device and goes on.
     another = processes(*nodes['actuator_node'].command)
     heard = len(watcher.states)
-    watcher.wait(lambda: len(watcher.states) > heard + 20)
+    # On a busy machine it comes so late that the controller has given up.
+    watcher.wait(lambda: watcher.recovered() and len(watcher.states) > heard + 20)
     assert another.interrupt() == 0
