@@ -29,6 +29,8 @@ ECHOES = {'events, UDP': ('events', 'UDPv4'), 'events, shared memory': ('events'
 """Echo → way and transport; the best of all but `plain` is the floor."""
 PARTS = ('latency', 'cpu', 'rates', 'soak')
 RATES = (1000.0, 1250.0, 1500.0, 2000.0, 2500.0, 3000.0)
+LOWER = (800.0, 667.0, 500.0, 400.0, 333.0, 250.0, 200.0)
+"""Rates tried upwards; where not even the first holds, downwards [Hz]."""
 LATE_SHARE = 0.005
 PRIORITY = 50
 """Of SCHED_FIFO, where it is permitted."""
@@ -88,10 +90,12 @@ def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
 def cpu(folder: Path, rounds: int, quick: bool) -> list[Row]:
     """Return shares of a core against bare nodes."""
     seconds = 4.0 if quick else 10.0
-    own, bare = [], []
+    own, bare, stood_in = [], [], []
     for turn in range(rounds):
         own.append(running.loop(seconds, folder / f'cpu-{turn}').shares)
         bare.append(running.bare_loop(seconds, folder / f'bare-{turn}'))
+        stood_in.append(running.stood_in(seconds, folder / f'stood-in-{turn}'))
+    among = statistics.mean(turn.shares['controller_node'] for turn in stood_in)
     mean = {name: statistics.mean(turn[name] for turn in own) for name in own[0]}
     least = {name: statistics.mean(turn[name] for turn in bare) for name in bare[0]}
 
@@ -101,6 +105,8 @@ def cpu(folder: Path, rounds: int, quick: bool) -> list[Row]:
 
     return [Row('CPU of controller_node over a bare node', mean['controller_node']
                 / least['controller_node'], 1.3, detail=f'bare nodes: {words(least)}'),
+            Row('CPU of controller_node over a bare node in its place among our nodes',
+                mean['controller_node'] / among, detail=f'bare node {100 * among:.1f} %'),
             Row('CPU of all four nodes', 100.0 * sum(mean.values()), 35.0, '% of a core',
                 detail=words(mean))]
 
@@ -123,24 +129,49 @@ def rate_words(found: running.Measured) -> str:
 
 
 def rates(folder: Path, quick: bool) -> list[Row]:
-    """Return how 1 kHz goes and which rate is the highest that holds."""
-    long = running.loop(5.0 if quick else 60.0, folder / 'kilohertz', 'loop.rate=1000.0')
+    """Return how 1 kHz goes and which rate is the highest that holds, also by SCHED_FIFO."""
+    seconds = 5.0 if quick else 60.0
+    long = running.loop(seconds, folder / 'kilohertz', 'loop.rate=1000.0')
     say(f'1 kHz: {rate_words(long)}')
     rows = [Row('1 kHz: late', 100.0 * long.late / long.samples, 100.0 * LATE_SHARE, '%',
                 detail=rate_words(long)),
             Row('1 kHz: lost, unanswered or skipped', gone(long), 0.0, 'samples')]
     if quick:
         return rows
-    highest, detail = 0.0, ''
+    rows += [highest(folder / 'normal', 'highest rate that holds for 10 s')]
+    if running.refused('--priority', str(PRIORITY)):
+        return rows
+    first = f'process.priority={PRIORITY}'
+    long = running.loop(seconds, folder / 'first', 'loop.rate=1000.0', first)
+    say(f'1 kHz, {first}: {rate_words(long)}')
+    return [*rows,
+            Row(f'1 kHz with `{first}`: late', 100.0 * long.late / long.samples, unit='%',
+                detail=rate_words(long)),
+            Row(f'1 kHz with `{first}`: lost, unanswered or skipped', gone(long),
+                unit='samples'),
+            highest(folder / 'fifo', f'highest rate that holds for 10 s with `{first}`', first)]
+
+
+def highest(folder: Path, name: str, *settings: str) -> Row:
+    """Return the highest rate that holds."""
+    found: dict[float, running.Measured] = {}
+
+    def held(rate: float) -> bool:
+        found[rate] = running.loop(10.0, folder / f'{rate:.0f}', f'loop.rate={rate}', *settings)
+        say(f'{rate:.0f} Hz: {rate_words(found[rate])}')
+        return holds(found[rate])
+
+    folder.mkdir()
+    best = 0.0
     for rate in RATES:
-        found = running.loop(10.0, folder / f'rate-{rate:.0f}', f'loop.rate={rate}')
-        say(f'{rate:.0f} Hz: {rate_words(found)}')
-        detail = f'at {rate:.0f} Hz: {rate_words(found)}'
-        if not holds(found):
+        if not held(rate):
             break
-        highest = rate
-    return [*rows, Row('highest rate that holds for 10 s', highest, unit='Hz', least=True,
-                       detail=detail)]
+        best = rate
+    if not best:
+        best = next(filter(held, LOWER), 0.0)
+    beyond = min((rate for rate in found if rate > best), default=max(found))
+    return Row(name, best, unit='Hz', least=True,
+               detail=f'at {beyond:.0f} Hz: {rate_words(found[beyond])}')
 
 
 def soak(folder: Path, seconds: float = 600.0) -> list[Row]:

@@ -1,10 +1,11 @@
-"""Fixtures for every test: a ROS domain of one's own, processes that end with it, firmware."""
+"""Fixtures: a ROS domain of one's own, processes that end with it, firmware, launch files."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 import contextlib
 import fcntl
+import importlib.util
 import os
 from pathlib import Path
 import shutil
@@ -14,6 +15,7 @@ import sys
 import tempfile
 import threading
 import time
+import types
 
 import pytest
 
@@ -212,3 +214,64 @@ def firmware_library(tmp_path_factory):
     """Return the firmware's portable part as a shared library."""
     return compiled(tmp_path_factory.mktemp('firmware'), 'dz_device.so', '-shared', '-fPIC',
                     'dz_device.c', sanitized=True)
+
+
+@pytest.fixture(params=['emulated', 'firmware'])
+def serial_device(request, processes, tmp_path):
+    """Return a function that starts a device on a serial line with faults, and its `port`."""
+    port = tmp_path / 'port'
+    options = ['-o', f'link={port}']
+    if request.param == 'firmware':
+        options += ['-o', f'program={request.getfixturevalue("firmware")}']
+
+    def start(*faults):
+        process = processes('-m', 'dz_ros', 'driver', 'emulate', 'serial', 'serial', *options,
+                            *(word for fault in faults for word in ('--fault', fault)))
+        process.wait_for_line('serial device on')
+        return process
+
+    start.port = port
+    return start
+
+
+class Made:
+    """Whatever a launch file makes: what it is made of is kept."""
+
+    def __init__(self, *positional, **named):
+        self.positional, self.named = positional, named
+
+    def perform(self, context):
+        """Return the value of an argument."""
+        return context[self.positional[0]]
+
+
+LAUNCH = {'launch': ['LaunchDescription'],
+          'launch.actions': ['DeclareLaunchArgument', 'EmitEvent', 'OpaqueFunction',
+                             'RegisterEventHandler'],
+          'launch.event_handlers': ['OnProcessExit'], 'launch.events': ['Shutdown'],
+          'launch.substitutions': ['LaunchConfiguration'], 'launch_ros': [],
+          'launch_ros.actions': ['Node']}
+"""What our launch files use of launch, which has no wheels: module → classes."""
+
+
+@pytest.fixture
+def load_launch_file(monkeypatch):
+    """Return ``load(name) -> module`` of launch/NAME.launch.py, with stand-ins for launch."""
+    root = Path(__file__).parents[1]
+
+    def load(name):
+        for module_name, classes in LAUNCH.items():
+            module = types.ModuleType(module_name)
+            for kind in classes:
+                setattr(module, kind, type(kind, (Made,), {}))
+            monkeypatch.setitem(sys.modules, module_name, module)
+        index = types.ModuleType('ament_index_python.packages')
+        index.get_package_share_directory = lambda package: str(root)
+        monkeypatch.setitem(sys.modules, 'ament_index_python.packages', index)
+        spec = importlib.util.spec_from_file_location(
+            f'{name}_launch', root / 'launch' / f'{name}.launch.py')
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return load

@@ -1,48 +1,16 @@
 """launch/replay.launch.py, run with stand-ins for launch, which has no wheels."""
 
-import importlib.util
 from pathlib import Path
 import re
-import sys
-import types
 
 import pytest
 
 ROOT = Path(__file__).parent.parent
-FILE = ROOT / 'launch' / 'replay.launch.py'
-
-
-class Made:
-    """Whatever a launch file makes: what it is made of is kept."""
-
-    def __init__(self, *positional, **named):
-        self.positional, self.named = positional, named
-
-
-class LaunchConfiguration(Made):
-    def perform(self, context):
-        return context[self.positional[0]]
 
 
 @pytest.fixture
-def launch_file(monkeypatch):
-    kinds = {'launch': ['LaunchDescription'],
-             'launch.actions': ['DeclareLaunchArgument', 'EmitEvent', 'OpaqueFunction',
-                                'RegisterEventHandler'],
-             'launch.event_handlers': ['OnProcessExit'], 'launch.events': ['Shutdown'],
-             'launch_ros': [], 'launch_ros.actions': ['Node']}
-    for name, classes in kinds.items():
-        module = types.ModuleType(name)
-        for kind in classes:
-            setattr(module, kind, type(kind, (Made,), {}))
-        monkeypatch.setitem(sys.modules, name, module)
-    substitutions = types.ModuleType('launch.substitutions')
-    substitutions.LaunchConfiguration = LaunchConfiguration
-    monkeypatch.setitem(sys.modules, 'launch.substitutions', substitutions)
-    spec = importlib.util.spec_from_file_location('replay_launch', FILE)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def launch_file(load_launch_file):
+    return load_launch_file('replay')
 
 
 def declared(launch_file):

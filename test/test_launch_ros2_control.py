@@ -1,9 +1,6 @@
 """launch/ros2_control.launch.py, run with stand-ins for launch; and the controllers it names."""
 
-import importlib.util
 from pathlib import Path
-import sys
-import types
 
 import pytest
 import yaml
@@ -11,41 +8,13 @@ import yaml
 from dz_ros.files import load_configuration
 
 ROOT = Path(__file__).parent.parent
-FILE = ROOT / 'launch' / 'ros2_control.launch.py'
 CONTROLLERS = ROOT / 'launch' / 'joint_controllers.yaml'
 NODES = ['actuator_node', 'controller_node', 'trajectory_node']
 
 
-class Made:
-    """Whatever a launch file makes: what it is made of is kept."""
-
-    def __init__(self, *positional, **named):
-        self.positional, self.named = positional, named
-
-    def perform(self, context):
-        return context[self.positional[0]]
-
-
 @pytest.fixture
-def launch_file(monkeypatch):
-    kinds = {'launch': ['LaunchDescription'],
-             'launch.actions': ['DeclareLaunchArgument', 'EmitEvent', 'OpaqueFunction',
-                                'RegisterEventHandler'],
-             'launch.event_handlers': ['OnProcessExit'], 'launch.events': ['Shutdown'],
-             'launch.substitutions': ['LaunchConfiguration'], 'launch_ros': [],
-             'launch_ros.actions': ['Node']}
-    for name, classes in kinds.items():
-        module = types.ModuleType(name)
-        for kind in classes:
-            setattr(module, kind, type(kind, (Made,), {}))
-        monkeypatch.setitem(sys.modules, name, module)
-    index = types.ModuleType('ament_index_python.packages')
-    index.get_package_share_directory = lambda package: str(ROOT)
-    monkeypatch.setitem(sys.modules, 'ament_index_python.packages', index)
-    spec = importlib.util.spec_from_file_location('ros2_control_launch', FILE)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def launch_file(load_launch_file):
+    return load_launch_file('ros2_control')
 
 
 def started(launch_file, **given):

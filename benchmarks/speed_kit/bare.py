@@ -6,6 +6,7 @@
     pong      answers each `state` with a `command`
     plant, trajectory, controller
               publish what the nodes of these names publish, when they do, computing nothing
+    stand_in  takes the place of controller_node among the nodes: answers as it must, v = 0
     ticks     an absolute-deadline loop without ROS; prints JSON
 
 `--way` is how: `plain` is what the tutorials show (typed messages, a timer, `rclpy.spin`),
@@ -20,6 +21,7 @@ from collections.abc import Callable
 import json
 from pathlib import Path
 import signal
+import struct
 import sys
 import time
 from typing import Any
@@ -40,6 +42,7 @@ ROLES: dict[str, tuple[tuple[str, ...], str, tuple[str, ...]]] = {
     'plant': (('command',), 'tick', ('state', 'truth')),
     'trajectory': (('state',), 'state', ('reference',)),
     'controller': (('state', 'reference'), 'state', ('command', 'terms')),
+    'stand_in': (('state', 'reference'), 'state', ('command', 'terms')),
 }
 """Role → what it hears, what makes it speak, what it says."""
 SETTLED = 1.0
@@ -62,7 +65,9 @@ class Bare:
         hears, self.speaks_on, says = ROLES[arguments.role]
         self.way, self.period = arguments.way, 1.0 / arguments.rate
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        self.node = rclpy.create_node(f'bare_{arguments.role}')
+        self.stands_in = arguments.role == 'stand_in'
+        self.node = rclpy.create_node('controller_node' if self.stands_in
+                                      else f'bare_{arguments.role}')
         if self.way == 'plain':
             taken = given = QoSProfile(depth=10)
         else:
@@ -92,8 +97,19 @@ class Bare:
         for publisher, payload in zip(self.publishers, self.payloads, strict=True):
             publisher.publish(payload)
 
+    def name_what_is_answered(self, state: bytes) -> None:
+        """Write seq and stamp of a state into what is published next."""
+        numbers = struct.unpack_from('<2d', state, len(state) - 8 * len(LABELS['state']))
+        command, terms = (bytearray(item) for item in self.payloads)
+        begin = len(command) - 8 * len(LABELS['command'])
+        struct.pack_into('<5d', command, begin, *numbers, 0.0, *numbers)
+        struct.pack_into('<2d', terms, len(terms) - 8 * len(LABELS['terms']), *numbers)
+        self.payloads = [bytes(command), bytes(terms)]
+
     def _callback(self, name: str) -> Callable[[Any], None]:
-        def answer(_message: Any) -> None:
+        def answer(message: Any) -> None:
+            if self.stands_in:
+                self.name_what_is_answered(message)
             self.say()
 
         def note(_message: Any) -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from benchmarks.speed_kit.processes import cpu_ns, nodes_below, resident
 from dz_ros.analysis.sequence import first_of_each
 from dz_ros.core.dataset import RunData
+from dz_ros.files import load_configuration, write_parameters
 from dz_ros.nodes.main import PROFILES
 from dz_ros.recording.reader import read_run
 from dz_ros.runtime.process import PARENT
@@ -106,6 +107,28 @@ def bare_loop(duration: float, folder: Path) -> dict[str, float]:
                 'trajectory_node': trajectory.pid, 'recorder_node': recording.pid}
         time.sleep(4.0)
         found = shares(pids, duration)
+    return found
+
+
+def stood_in(duration: float, folder: Path) -> Measured:
+    """Return what the loop is like with a bare node in the controller's place, recorded."""
+    parameters = folder.with_suffix('.yaml')
+    write_parameters(load_configuration('robust', ['loop.duration=0.0', 'loop.peers='
+                     '[plant_node, controller_node, trajectory_node, recorder_node]']), parameters)
+    words = ['--ros-args', '--params-file', str(parameters), '--log-level', 'warn']
+    env = environment(profile=True)
+    found = Measured()
+    with contextlib.ExitStack() as stack:
+        pids = {name: stack.enter_context(process(
+            ['-m', 'dz_ros.nodes.main', name, *words, *more], env)).pid for name, more in (
+                ('recorder_node', ('-p', f'directory:={folder}')), ('trajectory_node', ()),
+                ('plant_node', ()))}
+        time.sleep(2.0)     # it listens last, as the controller does
+        pids['controller_node'] = stack.enter_context(
+            bare('stand_in', '--reliable', '--way', 'events', profile=True)).pid
+        time.sleep(3.0)
+        found.shares = shares(pids, duration)
+    judge(found, read_run(folder))
     return found
 
 

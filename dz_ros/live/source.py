@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from typing import Any
 
+from dz_ros.errors import LoopError
 from dz_ros.live.history import History
 
 
@@ -29,9 +30,9 @@ class Source(ABC):
         """Stop the loop at once.
 
         Raises:
-            DzRosError: There is nothing to stop.
+            LoopError: There is nothing to stop.
         """
-        raise NotImplementedError
+        raise LoopError(f'nothing runs here that {who} could stop')
 
     async def act(self, who: str, request: dict[str, Any]) -> dict[str, Any]:
         """Do what an operator asks; return what came of it: `ok` and `message`.
@@ -39,12 +40,12 @@ class Source(ABC):
         Raises:
             DzRosError: It cannot be done, and why.
         """
-        raise NotImplementedError
+        raise LoopError(f'nothing runs here: {request.get("do")} by {who} changes nothing')
 
+    @abstractmethod
     async def ask(self, request: dict[str, Any]) -> bytes | dict[str, Any]:
         """Return numbers or a text that somebody who looks asks for.
 
         Raises:
             DzRosError: There are none.
         """
-        raise NotImplementedError

@@ -10,13 +10,15 @@ The unit of v is that of the claimed command interface: N m or N for `effort`, r
 Those controllers take whatever has one number, hold the last command for ever, and ignore what
 arrives while they are inactive, without a word: what stops the joint when this process has died
 must be in its hardware. It lies in ``nodes`` because it speaks ROS; it knows the host's node
-through `attach` alone, and its messages are served between two samples.
+through `attach` alone, and its messages are served between two samples. Where nothing hosts it, as
+in `dz driver identify`, it has a node of its own, served by a thread.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 import math
+import threading
 import time
 from typing import Any
 
@@ -24,7 +26,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.driver import Driver
 from dz_ros.core.safety.health import Report
 from dz_ros.core.schema import parameter
-from dz_ros.errors import ConfigurationError, DriverError
+from dz_ros.errors import ConfigurationError, DriverError, MissingDependencyError
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,7 @@ class Joint(Driver):
             raise ConfigurationError('driver.measured', parameters.measured, 'must be at most '
                                      f'{configuration.plant.order}, the order of the plant')
         self._node: Any = None
+        self._own: _OwnNode | None = None
         self._publisher: Any = None
         self._subscription: Any = None
         self._state: tuple[tuple[float, ...], float] | None = None
@@ -89,10 +92,12 @@ class Joint(Driver):
         """Offer commands, listen to joint states; whether they come shows later.
 
         Raises:
-            DriverError: There is no node, or a topic's name is none.
+            DriverError: A topic's name is none.
+            MissingDependencyError: rclpy is not installed.
         """
         if self._node is None:
-            raise DriverError("driver.name = 'joint' needs a node: run it in actuator_node")
+            self._own = _OwnNode()
+            self._node = self._own.node
         from rclpy.qos import QoSProfile, ReliabilityPolicy
         from sensor_msgs.msg import JointState
         from std_msgs.msg import Float64MultiArray
@@ -123,6 +128,9 @@ class Joint(Driver):
         if self._subscription is not None:
             self._node.destroy_subscription(self._subscription)
         self._publisher = self._subscription = self._state = None
+        if self._own is not None:
+            self._own.close()
+            self._own = self._node = None
 
     # Each sample.
 
@@ -206,3 +214,33 @@ class Joint(Driver):
     def _refuse(self, what: str, problem: str) -> None:
         self._counts[what] = self._counts.get(what, 0) + 1
         self._problem = problem
+
+
+class _OwnNode:
+    """A node for a driver that nothing hosts, served by a thread.
+
+    Raises:
+        MissingDependencyError: rclpy is not installed.
+    """
+
+    def __init__(self) -> None:
+        try:
+            import rclpy
+            from rclpy.executors import SingleThreadedExecutor
+        except ImportError:
+            raise MissingDependencyError("driver.name = 'joint' needs rclpy, of ROS 2 Jazzy or "
+                                         "pip install 'dz_ros[ros]'") from None
+        self._context = rclpy.Context()
+        self._context.init()
+        self.node = rclpy.create_node('joint_driver', context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread and the node."""
+        self._executor.shutdown()
+        self._thread.join()
+        self.node.destroy_node()
+        self._context.shutdown()

@@ -1,7 +1,12 @@
-"""A source without a loop, and a server around it, for the tests of the page's server."""
+"""A server around a source without a loop; a real browser: Debian's chromium, by Playwright."""
 
 import asyncio
+from functools import partial
+from importlib.resources import files
 import json
+import os
+import shutil
+import time
 
 import numpy as np
 import pytest
@@ -12,6 +17,9 @@ from dz_ros.live.history import ANSWER, History, pack
 from dz_ros.live.source import Source
 
 aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed: no page to serve')
+
+TIME_OUT = 60e3
+"""Longest wait for anything in the page [ms]."""
 
 
 class Puppet(Source):
@@ -118,3 +126,77 @@ def with_page():
 
     run.texts, run.ended = texts, ended
     return run
+
+
+@pytest.fixture(scope='module')
+def browser(tmp_path_factory):
+    """A browser without a window; none here: the test is skipped."""
+    playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
+    program = next(filter(None, map(shutil.which, ('chromium', 'chromium-browser',
+                                                   'google-chrome'))), None)
+    if program is None:
+        pytest.skip('no chromium here: apt-get install chromium')
+    # It draws without a graphics card, and must not take the time from the loop it shows.
+    behind = tmp_path_factory.mktemp('browser') / 'chromium'
+    behind.write_text(f'#!/bin/sh\nexec nice -n 10 {program} "$@"\n', encoding='utf-8')
+    behind.chmod(0o755)
+    with playwright.sync_playwright() as driver:
+        arguments = ['--no-sandbox'] if os.geteuid() == 0 else []
+        found = driver.chromium.launch(executable_path=behind, args=arguments)
+        yield found
+        found.close()
+
+
+@pytest.fixture
+def open_page(browser):
+    """Return ``open(url, **context) -> page``; a page that complains fails the test.
+
+    A page has `requests`, the addresses it asked for, and `until(expression)`.
+    """
+    contexts, complaints = [], []
+
+    def open_one(url, **settings):
+        settings.setdefault('viewport', {'width': 1400, 'height': 900})
+        context = browser.new_context(**settings)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(TIME_OUT)
+        page.requests, page.until = [], partial(_until, page)
+        page.on('request', lambda request: page.requests.append(request.url))
+        page.on('pageerror', lambda error: complaints.append(str(error)))
+        page.on('console', lambda message: complaints.append(message.text)
+                if message.type == 'error' and 'WebSocket' not in message.text else None)
+        page.goto(url)
+        return page
+
+    yield open_one
+    for context in contexts:
+        context.close()
+    assert complaints == []
+
+
+def _until(page, expression):
+    """Wait until an expression is true in the page.
+
+    Playwright's own waiting would need `eval`, which the page's policy forbids.
+    """
+    deadline = time.monotonic() + TIME_OUT * 1e-3
+    script = expression if expression.startswith('()') else f'() => ({expression})'
+    while not page.evaluate(script):
+        assert time.monotonic() < deadline, (expression, page.inner_text('#state'))
+        page.wait_for_timeout(20)
+
+
+@pytest.fixture
+def axe():
+    """Return the function that gives the serious findings of axe-core on a page."""
+    source = pytest.importorskip('axe_playwright_python', reason='axe-core is not installed')
+
+    def findings(page):
+        page.evaluate(files(source).joinpath('axe.min.js').read_text(encoding='utf-8'))
+        found = page.evaluate('axe.run()')
+        assert len(found['passes']) > 15
+        return [(item['id'], [node['html'][:90] for node in item['nodes']])
+                for item in found['violations'] if item['impact'] in ('serious', 'critical')]
+
+    return findings

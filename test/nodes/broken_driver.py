@@ -49,9 +49,9 @@ class Broken(DriverNode):
         """Take a command, or more than one should."""
         seq = message.data[0]
         if FLAW == 'bad messages' and len(message.data) == 6:
-            self.last, self.echo = seq, (seq, message.data[1])
+            self.echo = (seq, message.data[1])
             self.fed = driver_node.time.monotonic()
-        if FLAW == 'restart' and seq <= self.last:
+        if FLAW == 'restart' and seq <= self.echo[0]:
             return      # whoever counts from 0 again is not heard, ever
         if FLAW == 'disconnect' and self.mode == 'lost':
             self.change('estop')    # latched, and no reset leads out

@@ -154,3 +154,25 @@ def watcher(ros_domain):
     made = Watcher()
     yield made
     made.close()
+
+
+KIT_TIME_OUT = 180.0
+LATE = {'rate', 'latency', 'answers at once', 'measurement', 'no trouble', 'echo', 'seq'}
+"""Checks of the conformance kit that a busy machine may fail."""
+
+
+@pytest.fixture
+def kit(processes):
+    """Return the function that has the conformance kit check a driver: check → result."""
+    def check(name, *words):
+        process = processes('-m', 'dz_ros', 'driver', 'check', name, *words, '--yes', '--json')
+        code = process.wait(KIT_TIME_OUT)
+        found = {item['name']: item for item in map(json.loads, filter(
+            lambda line: line.startswith('{'), process.output.splitlines()))}
+        assert {'declaration', 'stale command', 'killed and started again'} <= set(found), \
+            process.output
+        failed = {key for key, item in found.items() if item['passed'] is False}
+        assert failed <= LATE, json.dumps(found, indent=1)
+        assert code == bool(failed), process.output
+        return found
+    return check

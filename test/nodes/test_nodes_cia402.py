@@ -169,6 +169,11 @@ def test_a_killed_drive_is_a_fault_and_a_new_one_is_driven(processes, drive, ope
     assert loop.interrupt() == 0
 
 
+def test_the_conformance_kit_finds_nothing_wrong(kit, drive, settings):
+    found = kit('cia402', '--config', 'cia402', '--saturate', *settings)
+    assert {key for key, item in found.items() if item['passed'] is None} == set()
+
+
 def test_without_a_drive_one_line_says_so(processes, bus, settings):
     loop = processes(*DZ, 'run', 'cia402', *settings)
     assert loop.wait() == 2

@@ -125,11 +125,6 @@ def test_mistakes_are_named(parameters, key):
     assert caught.value.key == key
 
 
-def test_without_a_node_it_cannot_be_opened():
-    with pytest.raises(DriverError, match='run it in actuator_node'):
-        make().open()
-
-
 def test_limit_is_the_configured_one():
     assert make(limit=3.0).limit == 3.0
     assert make(limit=0).limit == math.inf
@@ -250,3 +245,30 @@ def test_a_dead_process_leaves_the_last_command_in_the_controller(
     watcher.wait(lambda: len(robot.interface) > heard + 200)
     held = {command for _, command in robot.interface[-100:]}
     assert len(held) == 1
+
+
+@pytest.mark.ros
+def test_the_conformance_kit_finds_nothing_wrong(kit, processes, watcher, robot):
+    processes(str(STAND_IN), CONFIG, 'forward', PYTHONPATH=str(ROOT)).wait_for_line('controllers')
+    robot.do('activate')
+    watcher.wait(lambda: robot.interface and robot.interface[-1][0])
+    found = kit('joint', '--config', CONFIG, '--set', 'driver.fresh=100', '--set',
+                'safety.command_hold=20')
+    # ros2_control's controllers do not tell which command they hold.
+    assert {key for key, item in found.items() if item['passed'] is None} == {
+        'safe command', 'limit', 'stop and reset', 'saturation'}
+
+
+@pytest.mark.ros
+def test_its_dead_zone_is_found(processes, watcher, robot, tmp_path):
+    processes(str(STAND_IN), CONFIG, 'forward', PYTHONPATH=str(ROOT)).wait_for_line('controllers')
+    robot.do('activate')
+    watcher.wait(lambda: robot.interface and robot.interface[-1][0])
+    found = processes('-m', 'dz_ros', 'driver', 'identify', CONFIG, '--travel', '3', '--speed',
+                      '2', '--effort', '4', '--repeats', '4', '--yes', '--out', tmp_path / 'found',
+                      '--set', 'driver.fresh=100', '--set', 'safety.state_hold=100')
+    assert found.wait(300.0) in (0, 1), found.output     # 1: a design rule finds an error in it
+    numbers = json.loads((tmp_path / 'found' / 'identified.json').read_text())['parameters']
+    # A busy machine delays what the law of motion is fitted to; on a quiet one it is 0.02.
+    assert numbers['b_r']['value'] == pytest.approx(0.5, abs=0.2)
+    assert numbers['b_l']['value'] == pytest.approx(-0.6, abs=0.2)

@@ -12,27 +12,19 @@ pytestmark = pytest.mark.ros
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / 'config' / 'serial.yaml'
 NODE = ('-m', 'dz_ros.nodes.main')
-EMULATE = ('-m', 'dz_ros', 'driver', 'emulate', 'serial', str(CONFIG))
 
 
-@pytest.fixture(params=['emulated', 'firmware'])
-def loop(request, processes, watcher, tmp_path):
+@pytest.fixture
+def loop(serial_device, processes, watcher):
     """Return a function that starts device and loop and returns them once the loop runs."""
-    port = tmp_path / 'port'
-    options = ['-o', f'link={port}']
-    if request.param == 'firmware':
-        options += ['-o', f'program={request.getfixturevalue("firmware")}']
-
     def start(*faults, silence='3.0'):
-        device = processes(*EMULATE, *options, *(word for fault in faults
-                                                 for word in ('--fault', fault)))
-        device.wait_for_line('serial device on')
-        own = ('-p', f'driver.silence:={silence}', '-p', f'driver.port:={port}')
+        started = serial_device(*faults)
+        own = ('-p', f'driver.silence:={silence}', '-p', f'driver.port:={serial_device.port}')
         nodes = {name: processes(*NODE, name, '--ros-args', '--params-file', CONFIG,
                                  *watcher.patient, *own)
                  for name in ('actuator_node', 'controller_node', 'trajectory_node')}
         watcher.running()
-        return device, nodes
+        return started, nodes
 
     return start
 
@@ -102,3 +94,11 @@ def test_a_killed_actuator_node_leaves_a_device_that_another_one_can_take(
     # On a busy machine it comes so late that the controller has given up.
     watcher.wait(lambda: watcher.recovered() and len(watcher.states) > heard + 20)
     assert another.interrupt() == 0
+
+
+def test_the_conformance_kit_finds_nothing_wrong(kit, serial_device, ros_domain):
+    serial_device()
+    found = kit('serial', '--config', CONFIG, '--saturate', *(word for text in (
+        f'driver.port={serial_device.port}', 'driver.silence=3.0', 'driver.fresh=100',
+        'safety.command_hold=20') for word in ('--set', text)))
+    assert {key for key, item in found.items() if item['passed'] is None} == set()

@@ -213,6 +213,17 @@ class Serial(Driver):
             self._ask(Request.RESET, (Mode.DISABLED, Mode.SAFE), 'leave its fault')
         self._ask(Request.SAFE, (Mode.SAFE, Mode.RUN), 'take power')
 
+    def in_force(self) -> float | None:
+        """Return what the device holds, by its mode and the newest command it has taken."""
+        found, wish = self._link.newest(), self._link.taken()
+        if found is None:
+            return None
+        if found[0].mode not in (Mode.RUN, Mode.SAFE):
+            return 0.0      # no power
+        if wish is None:
+            return None
+        return self._command_scale * (wish.v if found[0].mode is Mode.RUN else wish.safe)
+
     def report(self, report: Report) -> None:
         """Add device, rate, damage on the line and trips of the watchdog."""
         report.put('device', None if self._info is None else self._info.name)

@@ -59,8 +59,7 @@ class Link:
     Attributes:
         counts: Frames and connections, by what became of them.
         info: What the device said it is; None before it did.
-        broken: Why the line or the device is not the one that was greeted first, in words; stays
-            until `mend`.
+        broken: Why line or device is not the one greeted first, in words; stays until `mend`.
     """
 
     def __init__(self, port: str, baudrate: int, period_us: int, silence: float) -> None:
@@ -76,6 +75,7 @@ class Link:
         self._session = 0
         self._state: tuple[State, float] | None = None
         self._wish: Wish | None = None
+        self._sent: dict[int, Wish] = {}
         self._seq = 0
         self._greeted = 0.0
         self._problem = ''
@@ -132,6 +132,11 @@ class Link:
     def newest(self) -> tuple[State, float] | None:
         """Return the newest state of this session and when it arrived [s, steady]."""
         return self._state
+
+    def taken(self) -> Wish | None:
+        """Return the newest wish that the device says it has taken; None = not known."""
+        found = self._state
+        return None if found is None else self._sent.get(found[0].echo)
 
     def wait(self, done: Callable[[], bool], patience: float) -> bool:
         """Wait until something holds, looking whenever a frame has arrived."""
@@ -195,6 +200,8 @@ class Link:
                 self._seq = (self._seq + 1) % 2 ** 32
                 seq, session = self._seq, self._session
             if wish is not None:
+                self._sent[seq] = wish
+                self._sent.pop(seq - 256, None)     # has been answered, or never will be
                 self._put(Command(session, seq, wish.v, wish.safe, wish.hold_ms, wish.request)
                           .body())
 
@@ -215,7 +222,7 @@ class Link:
                 self._break('the device has started anew' if frame.session == 0 else
                             'the device has been greeted by another host')
             elif isinstance(frame, Info) and frame.session == self._session:
-                if self.info is None or _shape(frame) == _shape(self.info):
+                if self.info is None or frame.shape == self.info.shape:
                     self.info, self._problem = frame, ''
                 else:
                     self._problem = f'another device answers: {frame.name!r}'
@@ -283,11 +290,6 @@ class Link:
     def rejected(self) -> dict[str, int]:
         """Return how many lines were damaged, by what was wrong with them."""
         return dict(self._receiver.counts)
-
-
-def _shape(info: Info) -> tuple[object, ...]:
-    """Return what must not change when a device comes back."""
-    return info.values, info.limit, info.command_scale, info.state_scales
 
 
 def _why(error: Exception) -> str:

@@ -131,6 +131,11 @@ class Info:
     KIND: ClassVar[int] = 0x81
     LAYOUT: ClassVar[struct.Struct] = struct.Struct('<BBIBif4f16s')
 
+    @property
+    def shape(self) -> tuple[object, ...]:
+        """What must not change when a device comes back."""
+        return self.values, self.limit, self.command_scale, self.state_scales
+
     def body(self) -> bytes:
         """Return the body of its frame."""
         scales = (*self.state_scales, *[0.0] * MAX_VALUES)[:MAX_VALUES]

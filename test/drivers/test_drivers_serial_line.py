@@ -1,0 +1,227 @@
+"""The serial driver on a port with nothing, or somebody else, behind it."""
+
+import os
+import pty
+import threading
+import tty
+
+import pytest
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.drivers.serial.framing import pack, Receiver
+from dz_ros.drivers.serial.protocol import Command, decode, Hello, Info, Mode, Request, State
+from dz_ros.errors import ConfigurationError, DriverError, MissingDependencyError
+
+pytest.importorskip('serial', reason="pyserial is not installed: pip install 'dz_ros[serial]'")
+
+TIME_OUT = 60.0
+
+
+class Fake:
+    """A pseudo-terminal at whose other end the test answers."""
+
+    def __init__(self, answer=None):
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        self.port = os.ttyname(self._slave)
+        self.heard = []
+        self._receiver = Receiver()
+        self._answer = answer
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        if answer is not None:
+            self._thread.start()
+
+    def _serve(self):
+        os.set_blocking(self._master, False)
+        while not self._stop.wait(0.002):
+            try:
+                data = os.read(self._master, 4096)
+            except BlockingIOError:
+                data = b''
+            for body in self._receiver.feed(data):
+                self.heard.append(decode(body))
+                for reply in self._answer(self.heard[-1]):
+                    os.write(self._master, reply)
+
+    def close(self):
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        os.close(self._master)
+        os.close(self._slave)
+
+
+@pytest.fixture
+def fake():
+    made = []
+
+    def give(answer=None):
+        made.append(Fake(answer))
+        return made[-1]
+
+    yield give
+    for item in made:
+        item.close()
+
+
+def polite(frame, values=(1, 2), limit=1000, scales=(1.0, 1.0), mode=Mode.DISABLED, fault=0):
+    """Answer as a device that does nothing."""
+    yield pack(Info(frame.session, len(values), limit, 1.0, scales[:len(values)], 'fake').body())
+    yield pack(State(frame.session, 1, 2, getattr(frame, 'seq', 0), mode, 0, fault,
+                     values).body())
+
+
+@pytest.fixture
+def opening(make):
+    """Return the function that opens, enables and closes a driver."""
+    def attempt(port, **parameters):
+        driver = make(port, patience=0.5, **parameters)
+        try:
+            driver.open()
+            driver.enable()
+        finally:
+            driver.close()
+
+    return attempt
+
+
+def test_no_port_is_named(tmp_path, opening):
+    with pytest.raises(DriverError, match=r"driver.port = '.*/none': there is no such port"):
+        opening(tmp_path / 'none')
+
+
+def test_no_device_is_said_with_the_speed_of_the_line(fake, opening):
+    with pytest.raises(DriverError, match=r'nothing that speaks the protocol answers within 0\.5 '
+                                          's at 115200 baud'):
+        opening(fake().port, baudrate=115200, device_rate=200)
+
+
+def test_a_port_in_use_is_said(fake, make, opening):
+    port = fake(polite).port
+    first = make(port)
+    first.open()
+    try:
+        with pytest.raises(DriverError, match='in use by another program'):
+            opening(port)
+    finally:
+        first.close()
+
+
+def test_another_version_is_said(fake, opening):
+    answer = fake(lambda frame: [pack(b'\x02' + Hello(1, 1).body()[1:])])
+    with pytest.raises(DriverError, match='speaks version 2 of the protocol, not 1'):
+        opening(answer.port)
+
+
+def test_a_device_that_measures_too_little_is_said(fake, opening):
+    port = fake(lambda frame: polite(frame, values=(1,))).port
+    with pytest.raises(DriverError, match="'fake' measures 1 of the 2 values wanted: set "
+                                          r'driver\.measured to 1'):
+        opening(port)
+
+
+@pytest.mark.parametrize(('mode', 'words'), [
+    (Mode.DISABLED, 'does not take power: no answer'),
+    (Mode.FAULT, 'reports fault 5'),
+    (Mode.ESTOP, 'e-stop of the device is pressed'),
+])
+def test_a_device_that_takes_no_power_is_said(fake, mode, words, opening):
+    with pytest.raises(DriverError, match=words):
+        opening(fake(lambda frame: polite(frame, mode=mode, fault=5)).port)
+
+
+def test_another_device_after_a_reconnection_is_not_taken(fake, make, until):
+    limit = [1000]
+    other = fake(lambda frame: polite(frame, limit=limit[0], mode=Mode.SAFE))
+    driver = make(other.port)
+    driver.open()
+    try:
+        driver.enable()
+        limit[0] = 2000
+        # It says nothing by itself, so it is greeted anew.
+        until(lambda: 'another device answers' in driver.trouble())
+        with pytest.raises(DriverError, match="another device answers: 'fake'"):
+            driver.recover()
+    finally:
+        driver.close()
+
+
+def test_nobody_waits_for_a_line_that_takes_nothing(fake, make, until):
+    port = fake()
+    driver = make(port.port)
+    driver._link._connect()
+    driver._powered = True
+    writer = threading.Thread(target=driver._link._write, daemon=True)
+    writer.start()
+    # Each write that does not fit takes 0.1 s of the writer: a caller that waited for it would
+    # need hours for these.
+    for k in range(200_000):
+        driver.command(float(k), 0.0)
+        assert driver.measure() is None
+    until(lambda: driver._link.counts['not written'] > 0, driver, 3.0)
+    driver.close()
+    writer.join(TIME_OUT)
+    assert not writer.is_alive()
+
+
+def test_the_newest_command_is_the_one_that_is_sent(fake, make, until):
+    there = fake(lambda frame: polite(frame, mode=Mode.RUN))
+    driver = make(there.port)
+    driver.open()
+    driver.enable()
+    for k in range(500):
+        driver.command(float(k), 0.0)
+    until(lambda: there.heard[-1].v == 499)
+    driver.disable()
+    driver.close()
+    commands = [frame for frame in there.heard if isinstance(frame, Command)]
+    seqs = [frame.seq for frame in commands]
+    assert seqs == sorted(set(seqs))
+    assert {frame.hold_ms for frame in commands} == {15}    # safety.command_hold, 3 samples
+
+
+@pytest.mark.parametrize(('parameters', 'key'), [
+    ({'device_rate': 100.0}, 'driver.device_rate'),
+    ({'baudrate': 115200}, 'driver.device_rate'),
+    ({'measured': 3}, 'driver.measured'),
+    ({'state_scales': '[1.0]'}, 'driver.state_scales'),
+    ({'watchdog': 2.0}, 'driver.watchdog'),
+    ({'baudrate': 9}, 'driver.baudrate'),
+])
+def test_mistakes_are_named(parameters, key, make):
+    with pytest.raises(ConfigurationError) as caught:
+        make('/dev/null', **parameters)
+    assert caught.value.key == key
+
+
+def test_without_pyserial_the_extra_is_named(monkeypatch, make):
+    monkeypatch.setitem(__import__('sys').modules, 'serial', None)
+    with pytest.raises(MissingDependencyError, match=r"pip install 'dz_ros\[serial\]'"):
+        make('/dev/null').open()
+
+
+def test_limits_change_while_it_runs(make):
+    driver = make('/dev/null', limit=4.0)
+    flat = driver.configuration.to_flat()
+    driver.configure(Configuration.from_flat({**flat, 'driver.limit': 2.0,
+                                              'safety.command_hold': 8}))
+    assert driver.limit == 2.0
+    assert driver._hold_ms == 40
+
+
+def test_a_command_wished_before_the_line_broke_moves_nothing_after_it(fake, make, until):
+    there = fake(lambda frame: polite(frame, mode=Mode.SAFE))
+    driver = make(there.port, silence=30.0)
+    driver.open()
+    driver.enable()
+    with driver._link._news:        # the writer waits until the line has broken
+        driver.command(5.0, 0.0)
+        driver._link._break('the line has gone')
+    until(lambda: driver._link.newest() is not None)
+    before = there.heard[-1].session
+    until(lambda: isinstance(there.heard[-1], Command), driver, 5.0)
+    driver.close()
+    assert driver.trouble() == 'the line has gone'
+    assert before == there.heard[-1].session
+    assert {frame.request for frame in there.heard if isinstance(frame, Command)} == {Request.SAFE}
