@@ -95,10 +95,14 @@ class Stretch:
         self.share = 0.0
 
 
-def run(folder: Path, seconds: float, turns: int) -> tuple[list[Stretch], Any, list[float], int,
-                                                           list[tuple[float, int]]]:
-    """Return the stretches of a run, its recording, delays, rows missed, the server's memory."""
-    total = 10.0 + 2 * turns * (seconds + 2.0 * SETTLED)
+def run(folder: Path, seconds: float, counts: Sequence[int]) -> tuple[
+        list[Stretch], Any, list[float], int, list[tuple[float, int]]]:
+    """Return the stretches of a run, its recording, delays, rows missed, the server's memory.
+
+    Args:
+        counts: Viewers in each stretch.
+    """
+    total = 10.0 + len(counts) * (seconds + 2.0 * SETTLED)
     words = ['-m', 'dz_ros', 'run', 'robust', '--duration', str(total + 600.0), '--record',
              str(folder / 'run'), '--live', '--quiet']
     stretches, delays, missed, memory = [], [], 0, []
@@ -111,8 +115,8 @@ def run(folder: Path, seconds: float, turns: int) -> tuple[list[Stretch], Any, l
                 address = line.split()[-1]
         time.sleep(SETTLED)
         server = nodes_below(loop.pid)['live_node']
-        for turn in range(2 * turns):
-            stretch = Stretch(VIEWERS if turn % 2 else 0)
+        for count in counts:
+            stretch = Stretch(count)
             watching = viewers(address, seconds + 2.0 * SETTLED) if stretch.count else None
             time.sleep(SETTLED)
             stretch.begin, before = time.time(), cpu_ns(server)
@@ -148,7 +152,7 @@ def pooled(data: Any, stretches: Sequence[Stretch], count: int) -> tuple[list[fl
 
 def rows(folder: Path, seconds: float, turns: int) -> list[Row]:
     """Return the figures of alternating stretches."""
-    stretches, data, delays, missed, _ = run(folder, seconds, turns)
+    stretches, data, delays, missed, _ = run(folder, seconds, (0, VIEWERS) * turns)
     trips = {count: pooled(data, stretches, count)[0] for count in (0, VIEWERS)}
     periods = {count: pooled(data, stretches, count)[1] for count in (0, VIEWERS)}
     shares = {count: 100.0 * float(np.mean([item.share for item in stretches
@@ -175,12 +179,11 @@ def rows(folder: Path, seconds: float, turns: int) -> list[Row]:
 
 def soak(folder: Path, seconds: float = 600.0) -> list[Row]:
     """Return how the server's memory grows over ten minutes with five viewers."""
-    _, _, delays, missed, memory = run(folder, seconds, 1)
-    watched = memory[len(memory) // 2:]
-    first = next(size for when, size in watched if when >= watched[0][0] + 0.1 * seconds)
+    _, _, delays, missed, memory = run(folder, seconds, (VIEWERS,))
+    first = next(size for when, size in memory if when >= memory[0][0] + 0.1 * seconds)
     return [Row(f"{seconds / 60.0:.0f} min: growth of the server's memory since minute one",
-                (watched[-1][1] - first) / 1e6, GROWTH, 'MB',
-                detail=f'{first / 1e6:.1f} → {watched[-1][1] / 1e6:.1f} MB'),
+                (memory[-1][1] - first) / 1e6, GROWTH, 'MB',
+                detail=f'{first / 1e6:.1f} → {memory[-1][1] / 1e6:.1f} MB'),
             Row(f'{seconds / 60.0:.0f} min: rows missed by viewers', missed, 0.0, '',
                 detail=f'{len(delays)} rows')]
 
