@@ -97,10 +97,9 @@ class Stretch:
 
 def run(folder: Path, seconds: float, counts: Sequence[int]) -> tuple[
         list[Stretch], Any, list[float], int, list[tuple[float, int]]]:
-    """Return the stretches of a run, its recording, delays, rows missed, the server's memory.
+    """Return the stretches of a run with so many viewers each, and what it and they tell.
 
-    Args:
-        counts: Viewers in each stretch.
+    That is its recording, delays [s], rows missed, the server's memory.
     """
     total = 10.0 + len(counts) * (seconds + 2.0 * SETTLED)
     words = ['-m', 'dz_ros', 'run', 'robust', '--duration', str(total + 600.0), '--record',
