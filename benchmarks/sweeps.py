@@ -2,6 +2,7 @@
 
     python benchmarks/sweeps.py            print
     python benchmarks/sweeps.py --write    write docs/sweeps.md and its pictures
+    python benchmarks/sweeps.py --whole    run 100 000 loops as well: some ten minutes
 
 The pictures do not hang on the machine, the speed does, and on what else it is doing.
 """
@@ -43,10 +44,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--write', action='store_true', help='write documents and pictures')
     parser.add_argument('--runs', type=int, default=2000, help='runs to measure the speed with')
+    parser.add_argument('--whole', action='store_true', help='also run 100 000 loops')
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         drawn = {name: study(name, Path(folder)) for name in STUDIES}
         lines = speeds(arguments.runs, Path(folder))
+        if arguments.whole:
+            lines.append(whole(Path(folder)))
     machine = describe('numba', 'numpy')
     print(machine, f'numba used: {available()}', *lines,
           *(picture.caption for picture in drawn.values()), sep='\n')
@@ -119,6 +123,19 @@ def speeds(runs: int, folder: Path) -> list[str]:
               for name, rate in found.items())]
 
 
+def whole(folder: Path) -> str:
+    """Return the row of 100 000 runs that have really been run, from the first to the last."""
+    plan = SweepPlan(base_configuration(20.0),
+                     parse_axes([f'controller.epsilon=0.01:0.1:{WHOLE}']))
+    begin = time.perf_counter()
+    run_sweep(plan, folder / 'whole.csv', cores())
+    passed = time.perf_counter() - begin
+    done = len(read_sweep(folder / 'whole.csv'))
+    if done != WHOLE:
+        raise SystemExit(f'{done} of {WHOLE} runs were kept')
+    return f'| {cores()} processes | {WHOLE} | {WHOLE / passed:.0f} | {passed / 60:.1f} min, run |'
+
+
 def write(machine: str, lines: list[str], drawn: dict[str, Picture]) -> None:
     """Write docs/sweeps.md and its pictures."""
     for name, picture in drawn.items():
@@ -135,8 +152,8 @@ def write(machine: str, lines: list[str], drawn: dict[str, Picture]) -> None:
             drawn['chatter'].caption, '', '## How fast', '', *lines, '',
             'Compiled by numba, four RK4 steps a sample, metrics included; compiling, some '
             f'seconds in each process, left out. Measured on {machine}; load average '
-            f'{os.getloadavg()[0]:.1f} on {cores()} cores at the end. Where more processes or '
-            'workers are not faster, the machine was not quiet.', '']
+            f'{os.getloadavg()[0]:.1f} on {cores()} cores at the end. Scheduler and client of a '
+            'cluster take their share of the same cores as its workers.', '']
     (ROOT / 'docs' / 'sweeps.md').write_text('\n'.join(text), encoding='utf-8')
 
 
