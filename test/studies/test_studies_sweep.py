@@ -142,6 +142,45 @@ def test_failed_runs_are_kept_with_their_reason(tmp_path):
     assert rows[2]['reason'].startswith(('diverged', 'does not follow'))
 
 
+BRITTLE = """
+from dz_ros.core.plants.wang2004 import Wang2004
+
+
+class Brittle(Wang2004):
+    name = 'brittle'
+
+    def __init__(self, parameters=None):
+        super().__init__(parameters)
+        if self.parameters.b > 3.0:
+            raise KeyError('b')
+
+    @staticmethod
+    def regressors(x, p, y):
+        if p[1] > 1.5:
+            raise TypeError('no such\\n' + 'thing, ' * 200)
+        y[0] = y[1] = 0.0
+"""
+"""A plant of a user's own, with mistakes in it."""
+
+
+@pytest.mark.parametrize('jobs', [1, 2])
+def test_what_a_plant_of_one_s_own_raises_costs_its_run_only(tmp_path, monkeypatch, jobs):
+    (tmp_path / 'brittle.py').write_text(BRITTLE)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(module, 'CHUNK', 1)
+    base = {**BASE, 'plant.model': 'brittle:Brittle'}
+    plan = SweepPlan(base, parse_axes(['plant.a1=1,2', 'plant.b=1,4']))
+    assert run_sweep(plan, tmp_path / 's.csv', jobs) == 3
+    rows = read_sweep(tmp_path / 's.csv')
+    assert [row['lost'] for row in rows] == [0, 1, 1, 1]
+    assert [(row['reason'] or '')[:18] for row in rows] == [
+        '', 'failed: KeyError: ', 'failed: TypeError:', 'failed: KeyError: ']
+    assert rows[0]['error_max'] > 0.0
+    if jobs == 1:       # not compiled: the message is the plant's own
+        assert rows[2]['reason'].startswith('failed: TypeError: no such thing, thing,')
+    assert len(rows[2]['reason']) < 320
+
+
 @pytest.mark.parametrize('kept', [0.0, 0.02, 0.4, 0.63, 0.99, 1.0])
 def test_a_sweep_goes_on_from_wherever_it_was_cut(tmp_path, kept, monkeypatch):
     monkeypatch.setattr(module, 'CHUNK', 2)
