@@ -13,7 +13,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws import LAWS
 from dz_ros.core.loop import simulate
 from dz_ros.errors import UnknownNameError
-from dz_ros.studies.arena import Arena, Cell, Plan, run_arena
+from dz_ros.studies.arena import Arena, Cell, divide, Plan, run_arena
 from dz_ros.studies.arena_page import compose, format_text, recovery, verdicts, write_arena
 from dz_ros.studies.outcome import COLUMNS, row_of, run_row
 from dz_ros.studies.scenarios import base_configuration, entrants, scenarios, yardstick
@@ -147,6 +147,29 @@ def test_progress_counts_runs(monkeypatch):
               progress=lambda *words: seen.append(words))
     assert [words[:2] for words in seen] == [(1, 2), (2, 2)]
     assert {words[2] for words in seen} == {'pd', 'pid'}
+
+
+@pytest.mark.parametrize('jobs', [1, 2, 7, 64])
+@pytest.mark.parametrize('laws', [['robust'], ['pd', 'robust', 'pid'], None])
+def test_every_process_has_work_and_every_run_is_done_once(jobs, laws):
+    plan = Plan.of(laws, None, DURATION, 3)
+    pieces = divide(plan, jobs)
+    runs = plan.runs // len(plan.entrants)
+    assert sorted((name, run) for name, begin, end in pieces for run in range(begin, end)) == [
+        (name, run) for name in sorted(plan.entrants) for run in range(runs)]
+    assert len(pieces) >= min(plan.runs, 3 * jobs)
+    assert all(begin < end for _, begin, end in pieces)
+
+
+def test_one_law_is_divided_among_processes_and_shows_how_far_it_is():
+    seen = []
+    found = run_arena(Plan.of(['pd'], ['nominal', 'noise', 'kick'], 2.0, 3), jobs=2,
+                      progress=lambda *words: seen.append(words))
+    assert len(seen) >= 6
+    assert [words[0] for words in seen] == sorted({words[0] for words in seen})
+    assert seen[-1][:2] == (12, 12)
+    alone = run_arena(found.plan, jobs=1)
+    assert alone.csv() == found.csv()
 
 
 def test_nonsense_is_one_line(capsys):
