@@ -58,6 +58,8 @@ class Registry:
             found = getattr(importlib.import_module(module), attribute)
         except Exception as error:  # the module is somebody else's code
             reason = ' '.join(f'{type(error).__name__}: {error}'.split())
+            if isinstance(error, ModuleNotFoundError) and error.name == module.partition('.')[0]:
+                reason += '; the folder that holds it must be on PYTHONPATH'
             raise UnknownNameError(self.key, name, f'cannot be loaded: {reason}') from error
         if not (isinstance(found, type) and issubclass(found, self.base)):
             raise UnknownNameError(self.key, name, f'is not a {self.base.__name__}')
