@@ -265,7 +265,7 @@ class Hosting(GuardedNode):
 
     def _check_observer(self) -> None:
         """Log what the design rule says of an observed velocity, where it warns."""
-        for finding in check_observer(self.configuration, self._hosted.driver.measured):
+        for finding in check_observer(self.configuration, self._hosted.measured):
             if finding.level != INFO:
                 self.get_logger().warning(f'design rule {finding.rule}: {finding.words}; '
                                           f'{finding.change}')
