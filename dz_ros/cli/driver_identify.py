@@ -137,8 +137,8 @@ def _limits(arguments: argparse.Namespace, c: Configuration) -> tuple[Limits, Pl
     limits: Limits = group(Limits)
     if c.plant.order > 1 and limits.speed <= 0.0:
         raise ConfigurationError('--speed', limits.speed, 'must be > 0')
-    least = min(item for item in (HostedDriver(c).limit, c.plant_settings.command_limit or limits.effort,
-                                  c.safety.command_limit or limits.effort))
+    least = min(HostedDriver(c).limit, c.plant_settings.command_limit or limits.effort,
+                c.safety.command_limit or limits.effort)
     if limits.effort > least:
         raise ConfigurationError('--effort', limits.effort, f'must be <= {least:g}, the limit of '
                                  'the device or of the configuration')
