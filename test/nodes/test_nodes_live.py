@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 import time
 
 import numpy as np
@@ -211,7 +212,9 @@ def test_nonsense_on_the_topics_does_not_end_the_page(processes, tmp_path):
 
     process, address = start(processes, tmp_path / 'run', '--duration', '600')
 
-    def publish(said):
+    heard = threading.Event()
+
+    def publish():
         rclpy.init()
         try:
             node = rclpy.create_node('nonsense')
@@ -222,7 +225,7 @@ def test_nonsense_on_the_topics_does_not_end_the_page(processes, tmp_path):
                 time.sleep(0.05)
             for text in said:
                 publisher.publish(String(data=text))
-            time.sleep(0.5)
+            heard.wait(TIME_OUT)
         finally:
             rclpy.shutdown()
 
@@ -235,8 +238,13 @@ def test_nonsense_on_the_topics_does_not_end_the_page(processes, tmp_path):
     async def look():
         async with Viewer(address) as viewer:
             await viewer.until(viewer.running)
-            await asyncio.get_running_loop().run_in_executor(None, publish, said)
-            await viewer.until(lambda: any(text.get('event') == 'last' for text in viewer.texts))
+            publishing = asyncio.get_running_loop().run_in_executor(None, publish)
+            try:
+                await viewer.until(lambda: any(text.get('event') == 'last'
+                                               for text in viewer.texts))
+            finally:
+                heard.set()
+                await publishing
             odd = next(text for text in viewer.texts if text.get('node') == '/x')
             assert odd['values'] == {'a': None, 'b': [None]}
             seq = viewer.column('seq')[-1]
