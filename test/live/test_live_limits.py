@@ -174,8 +174,9 @@ def test_those_without_the_token_do_not_take_every_place(with_page, monkeypatch)
     monkeypatch.setattr(server_module, 'KEPT', 1)
 
     async def test(page):
-        for _ in range(2):
-            await with_page.texts(await page.viewer(token='wrong'), 'hello')
+        kept = [await page.viewer(token='wrong') for _ in range(2)]
+        for ws in kept:
+            await with_page.texts(ws, 'hello')
         assert await with_page.ended(await page.viewer(token='wrong')) == 1013
         assert (await with_page.texts(await page.viewer(), 'hello'))['may_act']
 
