@@ -48,7 +48,8 @@ def least_robust_gain(bound: float, m_min: float, b_min: float = 1.0, disturbanc
 
 
 def check(configuration: Configuration, disturbance: float | None = None,
-          stability_limit: float | None = None) -> tuple[Finding, ...]:
+          stability_limit: float | None = None,
+          lost: bool | None = None) -> tuple[Finding, ...]:
     """Return what the rules say of a configuration, assumptions first.
 
     Args:
@@ -56,6 +57,8 @@ def check(configuration: Configuration, disturbance: float | None = None,
         disturbance: Bound on the disturbance to withstand [unit of x^(n)]; None = what the
             plant's model gives along the reference.
         stability_limit: `dz_ros.core.stability.lambda_limit` of it [1/s]; None = not computed.
+        lost: `dz_ros.core.stability.lost_from_start` of it, for where there is no time for the
+            limit; None = not computed.
     """
     c, design = configuration, configuration.law.design
     findings = list(check_assumptions(c))
@@ -68,7 +71,7 @@ def check(configuration: Configuration, disturbance: float | None = None,
     findings += [*check_projection(c, design), *_robust_gain(c, design, disturbance),
                  *_target(c, design), *_chatter(c, design),
                  *check_observer(c, c.make_driver().measured),
-                 *_stability(design, stability_limit), *_uncovered(c, design)]
+                 *_stability(design, stability_limit, lost), *_uncovered(c, design)]
     return tuple(findings)
 
 
@@ -146,9 +149,16 @@ def _chatter(c: Configuration, design: Design) -> Iterator[Finding]:
         yield Finding(level, 'chatter', words, numbers, '' if level == INFO else change)
 
 
-def _stability(design: Design, limit: float | None) -> Iterator[Finding]:
-    """λ against the limit found by simulation."""
+def _stability(design: Design, limit: float | None, lost: bool | None) -> Iterator[Finding]:
+    """λ against the limit found by simulation, or whether it is beyond it."""
     if limit is None:
+        if lost is not None:
+            yield Finding(
+                ERROR if lost else INFO, 'λ', f'λ = {design.lambda_:g}; from this initial state '
+                + ('the sampled loop is lost' if lost else 'the sampled loop finds its reference'),
+                {'lambda': design.lambda_},
+                'lower λ (`dz check` finds its limit), start nearer to the reference, or project'
+                if lost else '')
         return
     numbers = {'lambda': design.lambda_, 'limit': limit}
     if math.isinf(limit):

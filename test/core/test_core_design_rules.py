@@ -15,7 +15,7 @@ from dz_ros.core.laws import LAWS
 from dz_ros.core.laws.pd import Pd
 from dz_ros.core.loop import simulate
 from dz_ros.core.plants import PLANTS
-from dz_ros.core.stability import is_lost, lambda_limit
+from dz_ros.core.stability import is_lost, lambda_limit, lost_from_start
 
 
 def configuration(**values):
@@ -158,6 +158,35 @@ def test_a_law_nobody_knows_is_said_to_be_unknown():
 def test_stability_limit_is_judged(limit, level):
     item, = (item for item in check(configuration(), stability_limit=limit) if item.rule == 'λ')
     assert item.level == level
+
+
+@pytest.mark.parametrize(('lost', 'level'), [(True, ERROR), (False, INFO)])
+def test_without_a_limit_one_run_is_judged(lost, level):
+    item, = (item for item in check(configuration(), lost=lost) if item.rule == 'λ')
+    assert item.level == level
+    assert bool(item.change) is lost
+
+
+@pytest.mark.parametrize('law', LAWS.builtin)
+def test_a_loop_that_rests_at_its_reference_is_not_lost(law):
+    """Zero error, zero excursion: what noise and dead-zone make of it is not getting lost."""
+    values = {'controller__law': law, 'plant__model': 'servo', 'plant__x0': [0.0, 0.0],
+              'plant__noise': [1e-4, 1e-3], 'trajectory__amplitude': 0.0}
+    assert lost_from_start(configuration(**values)) is False
+    if law in ('wang2004', 'extended'):
+        assert lost_from_start(configuration(controller__law=law, controller__lambda=9.0)) is True
+
+
+def test_a_kick_that_comes_later_is_not_the_initial_state():
+    thrown = {'plant.kick': [9.2, 400.0, 0.5], 'loop.duration': 10.0}
+    assert is_lost(configuration(**thrown))
+    assert lost_from_start(configuration(**thrown)) is False
+    assert lambda_limit(configuration(**thrown)) == lambda_limit(configuration())
+
+
+def test_a_law_without_a_slope_has_no_such_rule(monkeypatch):
+    monkeypatch.setattr(Pd, 'design', None)
+    assert lost_from_start(configuration(controller__law='pd')) is None
 
 
 def test_a_stated_disturbance_replaces_the_model_s():
