@@ -93,6 +93,34 @@ def test_rules(values, rule, level, part):
     assert bool(item.change) == (level != INFO) or rule == '(A2)'
 
 
+DEVICE = {'driver.name': 'serial', 'controller.law': 'robust'}
+
+
+@pytest.mark.parametrize('driven', [True, False])
+def test_of_a_real_device_the_plant_s_section_proves_nothing(driven):
+    """Neither for who drives it nor for the controller, which does not load the driver."""
+    device = Configuration.from_flat(DEVICE, driven)
+    assert not device.simulated
+    words = {item.rule: item.words for item in check(device)}
+    for rule in ('(A2)', '(A3)', '(A4)', 'input gain', 'state', 'structure', 'projection'):
+        assert words[rule].startswith('stated: '), rule
+    assert 'b_r in [0.1, 0.6]' in words['(A4)']
+    assert all(configuration(**{**DEVICE, 'driver.name': name}).simulated
+               for name in ('simulated', 'mock'))
+    absent = Configuration.from_flat({'driver.name': 'nowhere.at.all:Driver'}, driven=False)
+    assert not absent.simulated
+
+
+@pytest.mark.parametrize(('values', 'rule'), [
+    ({'plant.dead_zone.m_l': 0.9}, '(A2)'), ({'plant.dead_zone.b_r': 0.7}, '(A4)'),
+    ({'plant.b': 2.0}, 'input gain'), ({'controller.b_bounds': [0.2, 2.0]}, 'projection')])
+def test_a_model_outside_the_bounds_contradicts_them(values, rule):
+    item, = found(rule, **DEVICE, **values)
+    assert item.level == WARNING
+    assert item.words.startswith('contradicted: ')
+    assert "correct the plant's section" in item.change or rule == '(A2)'
+
+
 @pytest.mark.parametrize(('values', 'levels'), [
     ({}, [INFO, INFO, INFO]),
     ({'controller.epsilon': 0.01}, [INFO, WARNING, INFO]),
