@@ -16,12 +16,17 @@ or is for some plant within the bounds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 import math
 
 from dz_ros.core.along_reference import disturbance_along_reference
 from dz_ros.core.assumptions import check_assumptions, check_projection
-from dz_ros.core.boundary_layer import critical_epsilon, largest_beta
+from dz_ros.core.boundary_layer import (
+    chatter_limit,
+    critical_epsilon,
+    largest_beta,
+    largest_gain,
+)
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.deadzone import rho
 from dz_ros.core.finding import ERROR, Finding, INFO, WARNING
@@ -124,6 +129,7 @@ def _chatter(c: Configuration, design: Design) -> Iterator[Finding]:
     known, period = c.controller_settings, c.loop.period
     betas = tuple(b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
     slope = design.gain + design.lead
+    divisor = design.gain ** 2 / design.integral_rate if design.integral_rate > 0.0 else 0.0
     for delay in sorted({*DELAYS, c.loop.delay}):
         largest = largest_beta(slope, design.integral_rate, period, delay)
         low, high = (beta / largest if largest > 0.0 else math.inf for beta in betas)
@@ -131,22 +137,62 @@ def _chatter(c: Configuration, design: Design) -> Iterator[Finding]:
                    'largest_beta': largest}
         words = (f'delay {delay}: the loop gain is {low:.2f} to {high:.2f} of where chatter begins'
                  if largest > 0.0 else f'delay {delay}: K is too high at any input gain')
-        change = 'make K = k_d + k*/ε smaller (a wider layer, a lower k_d), or the rate higher'
-        if design.epsilon > 0.0 and design.k > 0.0 and design.integral_rate <= 0.0:
+        steepest = largest_gain(design.lead, divisor, betas[1], period, delay)
+        numbers['largest_gain'] = steepest
+        if design.epsilon > 0.0 and design.k > 0.0:
             k_d = design.gain - design.k / design.epsilon
-            smallest = critical_epsilon(design.k, k_d, design.lead, betas[1], period, delay)
+            smallest = (critical_epsilon(design.k, k_d, design.lead, betas[1], period, delay,
+                                         divisor) if steepest > design.least_gain else math.inf)
             numbers['smallest_epsilon'] = smallest
+            margin = _largest_margin(c, design, steepest)
             if math.isfinite(smallest):
-                words += f'; smallest usable ε {smallest:.3g}'
-                change = f'make ε larger than {smallest:.3g}, lower k_d, or raise the rate'
-            else:
-                change = 'lower k_d or raise the rate: no ε is large enough'
+                words += f'; smallest usable ε {smallest:.3g} with K = {steepest:.4g}'
+                if margin is not None:
+                    numbers['largest_margin'] = margin
+                    words += f', controller.margin = {margin:.3g}' if margin <= 1.0 else ''
+        change = _calmer(c, delay, numbers)
         own = delay == c.loop.delay
         level = INFO
         if high >= 1.0:
             level = ERROR if own and low >= 1.0 else WARNING if own or delay <= 1 else INFO
             words += ': chatters' + (' where b m is large' if low < 1.0 else ' for certain')
         yield Finding(level, 'chatter', words, numbers, '' if level == INFO else change)
+
+
+def _largest_margin(c: Configuration, design: Design, steepest: float) -> float | None:
+    """Return the f with which a law that makes its own ε arrives at this K; None = it does not."""
+    gains = c.law.gains
+    if not (getattr(gains, 'automatic_epsilon', not hasattr(gains, 'epsilon'))
+            and all(hasattr(gains, key) for key in ('margin', 'beta', 'design_delay'))):
+        return None
+    # K0 = f μ_d/(β T), in `extended` with the lead as a part of it.
+    lead = design.lead if hasattr(gains, 'epsilon') else 0.0
+    limit = chatter_limit(gains.design_delay) / (gains.beta * c.loop.period)
+    return float((steepest + lead) / limit)
+
+
+def _calmer(c: Configuration, delay: int, numbers: Mapping[str, float]) -> str:
+    """Return what makes K small enough, in keys the law has."""
+    smallest, steepest = numbers.get('smallest_epsilon'), numbers['largest_gain']
+    gains, known = c.law.gains, c.controller_settings
+    if smallest is None:
+        return ('lower k_d' + (f' below {steepest:.4g}' if steepest > 0.0 else '')
+                + ', or raise loop.rate')
+    if math.isinf(smallest):
+        return 'lower k_d or raise loop.rate: no ε is large enough'
+    if 'largest_margin' not in numbers:
+        layer = 'controller.epsilon' if hasattr(gains, 'epsilon') else 'ε'
+        return f'make {layer} larger than {smallest:.3g}, lower k_d, or raise loop.rate'
+    words = f'make controller.margin smaller than {numbers["largest_margin"]:.3g}'
+    if hasattr(gains, 'gain_cap'):
+        words += f' or controller.gain_cap smaller than {steepest:.4g}'
+    words += ', or raise loop.rate'
+    beta = known.b_bounds[1] * known.m_bounds[1]
+    if gains.design_delay < delay:
+        words += f'; controller.design_delay is {gains.design_delay} here, not {delay}'
+    if gains.beta < beta:
+        words += f'; controller.beta is {gains.beta:g}, b_max m_max {beta:g}'
+    return words
 
 
 def _stability(design: Design, limit: float | None, lost: bool | None) -> Iterator[Finding]:

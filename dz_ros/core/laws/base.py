@@ -53,6 +53,7 @@ class Design:
         target: Half-width of the set that the theorem lets s converge to [unit of s]; 0 = none.
         reserve: Share of k spent on something else than d/m, as an integral's authority ρ_I
             [actuator unit].
+        least_gain: What the law never lets `gain` fall below [actuator unit / unit of s].
         integral_rate: r_I of an integral of s inside the layer [actuator unit / unit of s / s].
         inverse: True where the law compensates the dead-zone itself, so that k need not.
         theta: Prior bounds of θ̂, (lowest, highest) of each; empty = not projected.
@@ -67,6 +68,7 @@ class Design:
     lead: float
     target: float = 0.0
     reserve: float = 0.0
+    least_gain: float = 0.0
     integral_rate: float = 0.0
     inverse: bool = False
     theta: tuple[tuple[float, float], ...] = ()
