@@ -5,7 +5,8 @@
 disturbance; the set Ω_ε in the units of each state; how far the sampled loop is from chatter; what
 the guarantee does not cover.
 
-    k* ≥ ρ/m_min + Δ/(b_min m_min) + ρ_I      (18), with disturbance |·| ≤ Δ and an integral's ρ_I
+    k* ≥ ρ/m_min + Δ/(b_min m_min) + ρ_I      (18), with disturbance |·| ≤ Δ and an integral's ρ_I;
+                                              with a feed-forward m_max |d̂ − d|/m in place of ρ
     ω against K, and its noise against ε      (dz_ros.core.observation), where a driver observes
     (K + Λ_v,n φ̂) b m T < μ_d                 no chatter (dz_ros.core.boundary_layer)
     |x̃_i| ≤ 2^(i−1) λ^(i−n) ε                 Ω_ε (dz_ros.core.tracking)
@@ -31,11 +32,15 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.deadzone import rho
 from dz_ros.core.finding import ERROR, Finding, INFO, WARNING
 from dz_ros.core.laws.base import Design
+from dz_ros.core.laws.extensions import largest_rest
 from dz_ros.core.observation import check_observer
 from dz_ros.core.tracking import guaranteed_bounds
 
 DELAYS = (0, 1, 2)
 """Loop delays for which the margin is stated [samples]; topics take one of the first two."""
+
+ROUNDING = 1e-9
+"""k* may miss its bound by this share: sums that are meant to be equal."""
 
 
 def least_robust_gain(bound: float, m_min: float, b_min: float = 1.0, disturbance: float = 0.0,
@@ -50,6 +55,16 @@ def least_robust_gain(bound: float, m_min: float, b_min: float = 1.0, disturbanc
         reserve: Authority ρ_I of an integral [actuator unit].
     """
     return bound / m_min + disturbance / (b_min * m_min) + reserve
+
+
+def dead_zone_bound(c: Configuration, design: Design) -> float:
+    """Return what of the dead-zone k* has to cover, ρ, or m_max |d̂ − d|/m with a feed-forward."""
+    known = c.controller_settings
+    if design.inverse:
+        return 0.0
+    if design.guess:
+        return known.m_bounds[1] * largest_rest(design.guess, known.b_r_bounds, known.b_l_bounds)
+    return rho(known.b_r_bounds[1], known.b_l_bounds[0], known.m_bounds[1])
 
 
 def check(configuration: Configuration, disturbance: float | None = None,
@@ -83,25 +98,27 @@ def check(configuration: Configuration, disturbance: float | None = None,
 def _robust_gain(c: Configuration, design: Design, disturbance: float) -> Iterator[Finding]:
     """(18), with the disturbance and an integral on top."""
     known = c.controller_settings
-    bound = 0.0 if design.inverse else rho(known.b_r_bounds[1], known.b_l_bounds[0],
-                                           known.m_bounds[1])
+    bound = dead_zone_bound(c, design)
     m_min, b_min = known.m_bounds[0], known.b_bounds[0]
     least = least_robust_gain(bound, m_min, reserve=design.reserve)
     full = least_robust_gain(bound, m_min, b_min, disturbance, design.reserve)
     numbers = {'k': design.k, 'rho': bound, 'least': least, 'reserve': design.reserve,
                'disturbance': disturbance, 'least_with_disturbance': full}
     share = f' + {design.reserve:g} of the integral' if design.reserve else ''
+    name = 'rho' if not design.guess else 'what the feed-forward leaves, rho'
+    term = f'{name}/m_min{share}'
     covers = (f'{c.law.name} compensates the dead-zone itself' if design.inverse else
-              f'k* = {design.k:g} covers the dead-zone (rho/m_min{share} = {least:.4g})')
+              f'k* = {design.k:g} covers the dead-zone ({term} = {least:.4g})')
     if design.k <= 0.0 and not design.inverse:
         yield Finding(WARNING, '(18)', f'{c.law.name} has no robust term: nothing covers the '
                       f'dead-zone, rho/m_min = {least:.4g}', numbers, 'choose another law')
-    elif design.k < least:
+    elif design.k < least * (1.0 - ROUNDING):
         yield Finding(ERROR, '(18)', f'k* = {design.k:g} does not cover the dead-zone: '
-                      f'rho/m_min{share} = {least:.4g}', numbers,
+                      f'{term} = {least:.4g}', numbers,
                       f'raise k* to {least:.4g}, or narrow the bounds'
-                      + (', or give the integral less authority' if share else ''))
-    elif design.k < full:
+                      + (', or give the integral less authority' if share else '')
+                      + (', or guess the break points better' if design.guess else ''))
+    elif design.k < full * (1.0 - ROUNDING):
         covered = (design.k - least) * b_min * m_min
         yield Finding(WARNING, '(18)', f'{covers}; of the disturbance {disturbance:.4g} the '
                       f'robust term covers {covered:.4g}', numbers,

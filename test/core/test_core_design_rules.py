@@ -9,9 +9,11 @@ import pytest
 from dz_ros.core import along_reference
 from dz_ros.core.along_reference import disturbance_along_reference, largest_derivatives
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.deadzone import DeadZone
 from dz_ros.core.design_rules import check, least_robust_gain
 from dz_ros.core.finding import ERROR, Finding, INFO, WARNING, worst
 from dz_ros.core.laws import LAWS
+from dz_ros.core.laws.extensions import break_point
 from dz_ros.core.laws.pd import Pd
 from dz_ros.core.loop import simulate
 from dz_ros.core.plants import PLANTS
@@ -139,6 +141,38 @@ def test_no_layer_is_wide_enough_at_a_rate_too_low():
     items = found('chatter', loop__rate=12.0)
     assert math.isinf(items[1].numbers['smallest_epsilon'])
     assert 'no ε is large enough' in items[1].change
+
+
+GUESSED = {'controller.law': 'extended', 'controller.dead_zone_feed_forward': True}
+
+
+@pytest.mark.parametrize(('b_r', 'b_l'), [(0.35, -0.4), (0.1, -0.1), (0.6, -0.7), (0.0, 0.0),
+                                          (2.0, -2.0)])
+def test_rule_18_of_a_guessed_break_point_is_what_the_feed_forward_leaves(b_r, b_l):
+    """Against the dead-zone itself: no v_d and no dead-zone within the bounds leave more."""
+    item, = found('(18)', **GUESSED, **{'controller.b_r_guess': b_r, 'controller.b_l_guess': b_l,
+                                        'controller.k_star': 4.0})
+    left = 0.0
+    for true_r in (0.1, 0.3, 0.6):
+        for true_l in (-0.7, -0.35, -0.1):
+            zone = DeadZone(m_r=1.25, m_l=1.25, b_r=true_r, b_l=true_l)
+            left = max(left, *(abs(zone(v + break_point(v, b_r, b_l, 0.1)) - 1.25 * v)
+                               for v in (0.001 * k for k in range(-3000, 3001))))
+    assert item.numbers['rho'] == pytest.approx(left, rel=0.005)
+    if b_r == 0.0:
+        assert left == pytest.approx(0.875)
+
+
+def test_a_bad_guess_is_an_error_and_a_good_one_needs_less_than_the_dead_zone():
+    item, = found('(18)', **GUESSED)
+    assert item.numbers['least'] < 0.6
+    item, = found('(18)', **GUESSED, **{'controller.b_r_guess': 3.0})
+    assert item.level == ERROR
+    assert 'what the feed-forward leaves' in item.words
+    assert 'guess the break points better' in item.change
+    off, = found('(18)', **{**GUESSED, 'controller.dead_zone_feed_forward': False,
+                            'controller.b_r_guess': 3.0})
+    assert off.numbers['least'] == pytest.approx(1.0294, abs=1e-4)
 
 
 ROBUST = {'controller.law': 'robust', 'controller.gain_cap': 1e4}
