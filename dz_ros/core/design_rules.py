@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 import math
+from typing import Any
 
 from dz_ros.core.along_reference import disturbance_along_reference
 from dz_ros.core.assumptions import check_assumptions, check_projection
@@ -91,7 +92,7 @@ def check(configuration: Configuration, disturbance: float | None = None,
     findings += [*check_projection(c, design), *_robust_gain(c, design, disturbance),
                  *_target(c, design), *_chatter(c, design),
                  *check_observer(c, c.make_driver().measured),
-                 *_stability(design, stability_limit, lost), *_uncovered(c, design)]
+                 *_stability(c, design, stability_limit, lost), *_uncovered(c, design)]
     return tuple(findings)
 
 
@@ -146,7 +147,7 @@ def _chatter(c: Configuration, design: Design) -> Iterator[Finding]:
     known, period = c.controller_settings, c.loop.period
     betas = tuple(b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
     slope = design.gain + design.lead
-    divisor = design.gain ** 2 / design.integral_rate if design.integral_rate > 0.0 else 0.0
+    divisor = integral_divisor(design)
     for delay in sorted({*DELAYS, c.loop.delay}):
         largest = largest_beta(slope, design.integral_rate, period, delay)
         low, high = (beta / largest if largest > 0.0 else math.inf for beta in betas)
@@ -176,11 +177,21 @@ def _chatter(c: Configuration, design: Design) -> Iterator[Finding]:
         yield Finding(level, 'chatter', words, numbers, '' if level == INFO else change)
 
 
+def derives_epsilon(gains: Any) -> bool:
+    """Return whether ε is made from margin, beta and design_delay instead of being a gain."""
+    return (bool(getattr(gains, 'automatic_epsilon', not hasattr(gains, 'epsilon')))
+            and all(hasattr(gains, key) for key in ('margin', 'beta', 'design_delay')))
+
+
+def integral_divisor(design: Design) -> float:
+    """Return q of r_I = K²/q; 0 = no integral."""
+    return design.gain ** 2 / design.integral_rate if design.integral_rate > 0.0 else 0.0
+
+
 def _largest_margin(c: Configuration, design: Design, steepest: float) -> float | None:
     """Return the f with which a law that makes its own ε arrives at this K; None = it does not."""
     gains = c.law.gains
-    if not (getattr(gains, 'automatic_epsilon', not hasattr(gains, 'epsilon'))
-            and all(hasattr(gains, key) for key in ('margin', 'beta', 'design_delay'))):
+    if not derives_epsilon(gains):
         return None
     # K0 = f μ_d/(β T), in `extended` with the lead as a part of it.
     lead = design.lead if hasattr(gains, 'epsilon') else 0.0
@@ -212,7 +223,8 @@ def _calmer(c: Configuration, delay: int, numbers: Mapping[str, float]) -> str:
     return words
 
 
-def _stability(design: Design, limit: float | None, lost: bool | None) -> Iterator[Finding]:
+def _stability(c: Configuration, design: Design, limit: float | None,
+               lost: bool | None) -> Iterator[Finding]:
     """λ against the limit found by simulation, or whether it is beyond it."""
     if limit is None:
         if lost is not None:
@@ -233,8 +245,9 @@ def _stability(design: Design, limit: float | None, lost: bool | None) -> Iterat
         change = f'lower λ below {limit:.3g}, start nearer to the reference, or project'
     elif design.lambda_ > 0.8 * limit:
         level, change = WARNING, f'keep λ below {0.8 * limit:.3g}'
+    refused = ' or has no layer' if getattr(c.law.gains, 'automatic_epsilon', False) else ''
     yield Finding(level, 'λ', f'λ = {design.lambda_:g}; from this initial state the sampled loop '
-                  f'is lost above λ = {limit:.3g}', numbers, change)
+                  f'is lost{refused} above λ = {limit:.3g}', numbers, change)
 
 
 def _uncovered(c: Configuration, design: Design) -> Iterator[Finding]:

@@ -20,6 +20,7 @@ from dz_ros.core.deadzone import rho
 from dz_ros.core.design_rules import least_robust_gain
 from dz_ros.core.loop import Run, simulate
 from dz_ros.core.tracking import guaranteed_bounds
+from dz_ros.errors import ConfigurationError
 
 LONG_ENOUGH = 10.0
 """A loop that is lost from its initial state shows it within this [s]."""
@@ -91,6 +92,8 @@ def lambda_limit(configuration: Configuration, highest: float = 64.0, resolution
     λ is raised by a quarter at a time until the loop is lost, then the step is halved. Raised from
     the configuration's own λ; lowered first where the loop is lost with that.
 
+    A λ that the law refuses, as one for which no automatic ε is wide enough, counts as lost.
+
     Args:
         configuration: Loop, plant, gains and initial state; its λ is where the search starts.
         highest: Largest λ tried [1/s].
@@ -103,7 +106,11 @@ def lambda_limit(configuration: Configuration, highest: float = 64.0, resolution
     base = _trial(configuration, duration)
 
     def lost(lambda_: float) -> bool:
-        return is_lost(base.replace(**{'controller.lambda': lambda_}))
+        try:
+            tried = base.replace(**{'controller.lambda': lambda_})
+        except ConfigurationError:
+            return True
+        return is_lost(tried)
 
     low = float(configuration.law.gains.lambda_)
     smallest = 0.001 * low

@@ -18,6 +18,7 @@ from dz_ros.core.laws.pd import Pd
 from dz_ros.core.loop import simulate
 from dz_ros.core.plants import PLANTS
 from dz_ros.core.stability import is_lost, lambda_limit, lost_from_start
+from dz_ros.errors import ConfigurationError
 
 
 def configuration(**values):
@@ -337,6 +338,18 @@ def test_projection_cures_it():
     assert lambda_limit(configuration(controller__law='extended', controller__projection=True),
                         highest=20.0) == math.inf
     assert lambda_limit(configuration(controller__law='robust'), highest=20.0) == math.inf
+
+
+def test_a_slope_the_law_refuses_ends_the_search():
+    refusing = configuration(controller__law='extended', controller__projection=True,
+                             controller__automatic_epsilon=True, loop__rate=50.0,
+                             controller__k_d=5.0)
+    limit = lambda_limit(refusing)
+    assert 0.0 < limit < math.inf
+    item, = (item for item in check(refusing, stability_limit=limit) if item.rule == 'λ')
+    assert 'is lost or has no layer above' in item.words
+    with pytest.raises(ConfigurationError, match='no layer is wide enough'):
+        refusing.replace(**{'controller.lambda': 64.0})
 
 
 def test_a_hopeless_loop_has_no_stable_lambda():
