@@ -261,9 +261,10 @@ def _uncovered(c: Configuration, design: Design) -> Iterator[Finding]:
         gaps.append(f'saturation at {limit:g}')
     yield Finding(INFO, 'not covered', 'the theorem is of continuous time and says nothing about '
                   + ', '.join(gaps))
-    known = getattr(c.law.gains, 'v_max', None)
-    if limit > 0.0 and known is not None and not 0.0 < known <= limit:
+    known, used = getattr(c.law.gains, 'v_max', None), getattr(c.law.gains, 'anti_windup', True)
+    if limit > 0.0 and known is not None and not (used and 0.0 < known <= limit):
         yield Finding(WARNING, 'saturation', f'the actuator clips at {limit:g}, the law '
-                      + (f'believes {known:g}' if known else 'knows no limit')
+                      + (f'believes {known:g}' if known and used else 'knows no limit')
                       + ': estimates and integral may wind up', {'limit': limit, 'v_max': known},
-                      f'set controller.v_max to {limit:g}')
+                      f'set controller.v_max to {limit:g}'
+                      + ('' if used else ' and controller.anti_windup to true'))

@@ -124,6 +124,21 @@ def test_a_model_outside_the_bounds_contradicts_them(values, rule):
     assert "correct the plant's section" in item.change or rule == '(A2)'
 
 
+@pytest.mark.parametrize(('on', 'v_max', 'complains'), [
+    (False, 0.0, True), (False, 10.0, True), (True, 10.0, False), (True, 12.0, True)])
+def test_a_limit_the_law_does_not_use_is_no_cure(on, v_max, complains):
+    """With anti_windup off the law of the switches looks at no v_max."""
+    values = {'plant.command_limit': 10.0, 'controller.law': 'extended',
+              'controller.anti_windup': on, 'controller.v_max': v_max}
+    items = found('saturation', **values)
+    assert bool(items) is complains
+    for item in items:
+        assert 'controller.v_max to 10' in item.change
+        assert ('controller.anti_windup to true' in item.change) is not on
+        cured = {**values, 'controller.v_max': 10.0, 'controller.anti_windup': True}
+        assert found('saturation', **cured) == []
+
+
 @pytest.mark.parametrize(('values', 'levels'), [
     ({}, [INFO, INFO, INFO]),
     ({'controller.epsilon': 0.01}, [INFO, WARNING, INFO]),
