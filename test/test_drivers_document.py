@@ -7,9 +7,9 @@ import os
 from pathlib import Path
 import re
 import runpy
-import shlex
 import sys
 import types
+import venv
 
 import pytest
 
@@ -51,26 +51,63 @@ def test_the_faults_of_the_mock_are_the_document_s():
         assert f'`{name}' in part, name
 
 
+@pytest.fixture
+def installed(tmp_path):
+    """Return a folder of programs with `dz`, as pip would write it, in an environment of its own.
+
+    Only its site-packages knows where dz_ros is, and what else this Python has.
+    """
+    home = tmp_path / 'environment'
+    venv.create(home, with_pip=False)
+    (site,) = home.glob('lib/python*/site-packages')
+    (site / 'here.pth').write_text('\n'.join([str(ROOT), *filter(None, sys.path)]),
+                                   encoding='utf-8')
+    (home / 'bin' / 'script').write_text(
+        'import sys\nfrom dz_ros.cli.main import main\nsys.exit(main())\n', encoding='utf-8')
+    program = home / 'bin' / 'dz'
+    program.write_text(f'#!/bin/sh\nexec "{home}/bin/python" "{home}/bin/script" "$@"\n',
+                       encoding='utf-8')
+    program.chmod(0o755)
+    return home / 'bin'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Return a folder with the document's file and nothing else."""
+    made = tmp_path / 'of the user'
+    made.mkdir()
+    (made / 'my_valve.py').write_text(blocks('python')[0], encoding='utf-8')
+    return made
+
+
 @pytest.mark.ros
 @pytest.mark.usefixtures('ros_domain')
-def test_its_commands_work_one_after_the_other(valve, processes):
+def test_its_commands_work_one_after_the_other_as_typed_in_that_folder(folder, installed,
+                                                                      processes):
     pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
-    path = os.pathsep.join([str(ROOT), str(valve)])
     commands = [line for block in blocks('(?:sh|console)') for line in block.splitlines()]
-    assert len(commands) == 6
-    for command in commands:
-        words = shlex.split(command)
-        assert words[0] == 'dz'
-        done = processes('-m', 'dz_ros', *words[1:], cwd=valve, PYTHONPATH=path)
-        code = done.wait(300.0)
-        if words[1:3] == ['driver', 'check']:   # a busy machine may be late, that is no fault here
-            assert code in (0, 1), done.output
-            assert 'killed and started again' in done.output
-            for name in ('declaration', 'opens', 'safe command', 'stop and reset', 'restart'):
-                assert re.search(rf'^ok +{name} ', done.output, re.M), done.output
-        else:
-            assert code == 0, done.output
-    assert (valve / 'runs' / 'valve').is_dir()
+    assert [command.split()[0] for command in commands] == ['dz'] * 2 + ['export'] + ['dz'] * 4
+    script = '\n'.join(f'{command}\necho "exit $?"' for command in commands)
+    done = processes('sh', '-c', script, cwd=folder, PYTHONPATH=None,
+                     PATH=f'{installed}{os.pathsep}{os.environ["PATH"]}')
+    done.wait(900.0)
+    codes = [int(code) for code in re.findall(r'^exit (\d+)$', done.output, re.M)]
+    checked = next(i for i, command in enumerate(commands) if 'driver check' in command)
+    assert codes[checked] in (0, 1), done.output    # a busy machine may be late, no fault here
+    assert not any(codes[:checked] + codes[checked + 1:]), done.output
+    assert 'killed and started again' in done.output
+    for name in ('declaration', 'opens', 'safe command', 'stop and reset', 'restart'):
+        assert re.search(rf'^ok +{name} ', done.output, re.M), done.output
+    assert (folder / 'runs' / 'valve').is_dir()
+
+
+def test_without_the_path_it_is_told_what_to_do(folder, installed, processes):
+    done = processes(installed / 'dz', 'driver', 'check', 'my_valve:Valve', '--yes', cwd=folder,
+                     PYTHONPATH=None)
+    assert done.wait(60.0) == 2
+    assert done.output.endswith("No module named 'my_valve'; the folder that holds it must be on "
+                                'PYTHONPATH')
+    assert '\n' not in done.output
 
 
 def test_the_node_of_the_example_is_short_and_imports_nothing_of_ours():

@@ -73,11 +73,14 @@ def test_controllers_and_configuration_agree():
     manager = content.pop('controller_manager')['ros__parameters']
     configuration = load_configuration('joint')
     assert manager.pop('update_rate') >= configuration.loop.rate
-    assert {value['type'] for value in manager.values()} == {
-        'joint_state_broadcaster/JointStateBroadcaster',
-        'forward_command_controller/ForwardCommandController'}
-    ((name, section),) = content.items()
+    types = {name: value['type'] for name, value in manager.items()}
+    assert types == {
+        'joint_state_broadcaster': 'joint_state_broadcaster/JointStateBroadcaster',
+        'effort_controller': 'forward_command_controller/ForwardCommandController'}
+    sections = {name: section['ros__parameters'] for name, section in content.items()}
+    # With --param-file a spawner takes the type from the controller's own section.
+    assert {name: section.pop('type') for name, section in sections.items()} == types
     driver = configuration.driver_parameters
-    assert name in manager
-    assert driver.command_topic == f'/{name}/commands'
-    assert section['ros__parameters'] == {'joints': [driver.joint], 'interface_name': 'effort'}
+    assert driver.command_topic == '/effort_controller/commands'
+    assert sections == {'joint_state_broadcaster': {}, 'effort_controller': {
+        'joints': [driver.joint], 'interface_name': 'effort'}}

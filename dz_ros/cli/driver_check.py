@@ -23,6 +23,7 @@ from dz_ros.cli.operator import add_namespace
 from dz_ros.cli.processes import check_rclpy, GRACE, start_node
 from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.conformance import check_contract, Result
+from dz_ros.drivers.hosted import HostedDriver
 from dz_ros.errors import ConfigurationError, DriverError
 from dz_ros.files import load_configuration, write_parameters
 
@@ -62,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     chosen = [] if arguments.name is None else [f'driver.name={json.dumps(arguments.name)}']
     configuration = load_configuration(arguments.config, [*arguments.overrides, *chosen]).replace(
         **{'loop.timing': 'realtime', 'loop.duration': 0.0, 'loop.peers': ['plant_node']})
-    limit = math.inf if arguments.topics else configuration.make_driver().limit
+    limit = math.inf if arguments.topics else HostedDriver(configuration).limit
     if configuration.safety.command_limit:
         limit = min(limit, configuration.safety.command_limit)
     amplitude = arguments.amplitude

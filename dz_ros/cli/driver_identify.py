@@ -20,6 +20,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
 from dz_ros.core.design_rules import check
 from dz_ros.core.finding import ERROR, worst
+from dz_ros.drivers.hosted import HostedDriver
 from dz_ros.errors import ConfigurationError, RunExistsError
 from dz_ros.files import flat_parameters, write_parameters
 from dz_ros.identification.evaluate import evaluate
@@ -136,8 +137,8 @@ def _limits(arguments: argparse.Namespace, c: Configuration) -> tuple[Limits, Pl
     limits: Limits = group(Limits)
     if c.plant.order > 1 and limits.speed <= 0.0:
         raise ConfigurationError('--speed', limits.speed, 'must be > 0')
-    least = min(item for item in (driver.limit, c.plant_settings.command_limit or limits.effort,
-                                  c.safety.command_limit or limits.effort))
+    least = min(HostedDriver(c).limit, c.plant_settings.command_limit or limits.effort,
+                c.safety.command_limit or limits.effort)
     if limits.effort > least:
         raise ConfigurationError('--effort', limits.effort, f'must be <= {least:g}, the limit of '
                                  'the device or of the configuration')

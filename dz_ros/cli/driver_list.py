@@ -9,7 +9,9 @@ import json
 import textwrap
 from typing import Any
 
+from dz_ros.core import schema
 from dz_ros.core.driver import Driver, DRIVERS
+from dz_ros.drivers.telling import told
 from dz_ros.errors import DzRosError
 
 WIDTH = 88
@@ -41,16 +43,22 @@ def describe(name: str, found: Any) -> dict[str, Any]:
     if isinstance(found, DzRosError):
         row['error'] = str(found)
         return row
-    from dz_ros.core import schema
+    try:
+        return row | _read(found)
+    except Exception as error:  # noqa: BLE001  somebody else's class must not end the list
+        return row | {'error': told('cannot be read', error)}
+
+
+def _read(found: Any) -> dict[str, Any]:
+    """Return what a driver's class says of itself."""
     own = found.state_units is not Driver.state_units or (
         found.command_unit is not Driver.command_unit)
-    row |= {
-        'summary': found.summary, 'order': found.order,
+    return {
+        'summary': str(found.summary), 'order': int(found.order),
         'units': 'of its own' if own else "the plant's",
-        'from': f'{found.__module__}:{found.__name__}', 'simulated': found.lockstep,
+        'from': f'{found.__module__}:{found.__name__}', 'simulated': bool(found.lockstep),
         'missing': [module for module in found.requires if not _there(module)],
         'parameters': [f'driver.{item.name}' for item in schema.fields(found.Parameters)]}
-    return row
 
 
 def _details(row: dict[str, Any]) -> Iterator[str]:

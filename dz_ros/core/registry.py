@@ -13,6 +13,7 @@ import importlib
 from importlib.metadata import entry_points
 from typing import Any
 
+from dz_ros.core import schema
 from dz_ros.errors import UnknownNameError
 
 
@@ -44,7 +45,7 @@ class Registry:
 
         Raises:
             UnknownNameError: No such name, it cannot be imported, it is something else, or it
-                lacks something that every one must define.
+                lacks something that every one must define, or its parameters are none.
         """
         target = self.builtin.get(name) or (name if ':' in name else self.installed().get(name))
         if isinstance(target, type):
@@ -58,6 +59,8 @@ class Registry:
             found = getattr(importlib.import_module(module), attribute)
         except Exception as error:  # the module is somebody else's code
             reason = ' '.join(f'{type(error).__name__}: {error}'.split())
+            if isinstance(error, ModuleNotFoundError) and error.name == module.partition('.')[0]:
+                reason += '; the folder that holds it must be on PYTHONPATH'
             raise UnknownNameError(self.key, name, f'cannot be loaded: {reason}') from error
         if not (isinstance(found, type) and issubclass(found, self.base)):
             raise UnknownNameError(self.key, name, f'is not a {self.base.__name__}')
@@ -65,6 +68,10 @@ class Registry:
         missing += sorted(getattr(found, '__abstractmethods__', ()))
         if missing:
             raise UnknownNameError(self.key, name, f'does not define {", ".join(missing)}')
+        for item in ('Parameters', 'Gains'):
+            if item in self.base.__annotations__ and not schema.is_group(getattr(found, item)):
+                raise UnknownNameError(self.key, name, f'{item} must be a frozen dataclass of '
+                                       'dz_ros.core.schema.parameter fields')
         return found
 
     def all(self) -> dict[str, Any]:

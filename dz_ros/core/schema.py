@@ -95,6 +95,15 @@ def fields(group: type) -> tuple[Field, ...]:
     return _declared(hashable)
 
 
+def is_group(group: Any) -> bool:
+    """Return whether something is a group: a frozen dataclass whose parameters can be read."""
+    try:
+        fields(group)
+        return isinstance(group, type) and bool(vars(group)['__dataclass_params__'].frozen)
+    except Exception:  # noqa: BLE001  somebody else's class
+        return False
+
+
 @cache
 def _declared(group: Any) -> tuple[Field, ...]:
     """Return what `fields` does, found out once."""

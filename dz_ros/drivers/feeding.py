@@ -76,13 +76,16 @@ class Feeder:
         self._measured: tuple[float, ...] | None = None
         self._measured_at = 0.0
         self._trouble = ''
-        self._stopping = False
+        self._stopping = threading.Event()
         self._thread: threading.Thread | None = None
 
     def start(self) -> None:
-        """Start the thread; call it once the device answers."""
-        self._stopping = False
-        self._thread = threading.Thread(target=self._run, name='device', daemon=True)
+        """Start the thread, with nothing of before; call it once the device answers."""
+        with self._changed:
+            self._order, self._measured, self._trouble = None, None, ''
+            self._stopping = threading.Event()      # of this thread alone
+            self._thread = threading.Thread(target=self._run, args=(self._stopping,),
+                                            name='device', daemon=True)
         self._thread.start()
 
     def stop(self, timeout: float = 2.0) -> None:
@@ -92,13 +95,14 @@ class Feeder:
             timeout: Longest wait [s].
 
         Raises:
-            DriverError: The device holds the thread; it ends when the device lets go.
+            DriverError: The device holds the thread; it ends when the device lets go, also if
+                another one has been started by then.
         """
         thread, self._thread = self._thread, None
         if thread is None:
             return
         with self._changed:
-            self._stopping = True
+            self._stopping.set()
             self._changed.notify_all()
         thread.join(timeout)
         if thread.is_alive():
@@ -135,13 +139,17 @@ class Feeder:
             slowest, self.slowest = self.slowest, 0.0
             return slowest
 
-    def _run(self) -> None:
+    def _run(self, stopping: threading.Event) -> None:
         while True:
             with self._changed:
-                if self._order is None and not self._stopping:
+                if stopping is not self._stopping:
+                    return      # left behind, and another thread has begun
+                if self._order is None and not stopping.is_set():
                     self._changed.wait(self._period)
+                    if stopping is not self._stopping:
+                        return
                 order, self._order = self._order, None
-                if self._stopping and order is None:
+                if stopping.is_set() and order is None:
                     return
             started = time.monotonic()
             try:
@@ -151,11 +159,13 @@ class Feeder:
                 found, trouble = None, ' '.join(str(error).split()) or type(error).__name__
             ended = time.monotonic()
             with self._changed:
+                if stopping is not self._stopping:
+                    return
                 self.exchanges += 1
                 self.slowest = max(self.slowest, ended - started)
                 self._trouble = trouble
                 if found is not None:
                     self._measured, self._measured_at = tuple(found), ended
-                if trouble and not self._stopping:
+                if trouble and not stopping.is_set():
                     # A device that fails at once must not be asked as fast as the machine goes.
                     self._changed.wait(max(0.0, self._period - (ended - started)))

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import math
-from pathlib import Path
 import time
 from typing import Any, TypeVar
 
@@ -25,6 +24,7 @@ from dz_ros.core.driver import Driver
 from dz_ros.core.observer import VelocityObserver
 from dz_ros.core.records import Reference, Truth
 from dz_ros.core.safety.health import Level, Report, SATURATED_SHARE
+from dz_ros.drivers.telling import checked, told
 from dz_ros.errors import ConfigurationError, DriverError, DzRosError, LoopError
 
 SLOW = 0.5
@@ -42,6 +42,7 @@ class HostedDriver:
     Attributes:
         driver: The driver itself.
         enabled: Whether it takes commands.
+        measured: How many of x, x', … it measures.
         observing: Whether its velocity is observed.
         commands: Commands given since the start.
         saturated: Those beyond its limit.
@@ -51,19 +52,23 @@ class HostedDriver:
         slowest: The longest call since the last report [s].
 
     Raises:
-        ConfigurationError: It measures too little for the plant's order.
+        ConfigurationError: It measures too little for the plant's order, or cannot tell.
     """
 
     def __init__(self, configuration: Configuration) -> None:
         self.driver: Driver = configuration.make_driver()
         self.commands = self.saturated = self.missed = self.bad = self.slow = 0
         self.slowest = 0.0
-        order, measured = configuration.plant.order, self.driver.measured
+        order = configuration.plant.order
+        try:
+            measured = checked('measured', lambda: int(self.driver.measured))
+        except DriverError as error:
+            raise ConfigurationError('driver.name', self.driver.name, str(error)) from error
         if not max(1, order - 1) <= measured <= order:
             raise ConfigurationError('driver.name', self.driver.name, f'measures {measured} of '
                                      f"x, x', …; a plant of order {order} needs {order}, or "
                                      f'{order - 1} and the observer')
-        self.observing = measured < order
+        self.measured, self.observing = measured, measured < order
         self._observer = VelocityObserver(configuration.driver_settings.observer)
         self._configuration = configuration
         self._period = configuration.loop.period
@@ -86,8 +91,8 @@ class HostedDriver:
         self._opened = True
         try:
             if node is not None:
-                _checked('attach', lambda: self.driver.attach(node))
-            _checked('open', self.driver.open)
+                checked('attach', lambda: self.driver.attach(node))
+            checked('open', self.driver.open)
         except DzRosError:
             self.close()
             raise
@@ -102,7 +107,7 @@ class HostedDriver:
         self._observer.restart()
         self.enabled = True
         try:
-            _checked('enable', self.driver.enable)
+            checked('enable', self.driver.enable)
         except DzRosError:
             self._attempt('disable', self.driver.disable)
             self.enabled = False
@@ -139,17 +144,43 @@ class HostedDriver:
         """Hear the reference whose x_d^(n) the observer takes for the acceleration."""
         self._reference = reference
 
-    def command(self, v: float, t: float) -> None:
-        """Give it a command, no larger than its limit."""
+    @property
+    def limit(self) -> float:
+        """Largest |v| it takes [command unit].
+
+        Raises:
+            DriverError: It cannot tell, whatever its code raised.
+        """
+        limit = checked('limit', lambda: float(self.driver.limit))
+        if not limit >= 0.0:
+            raise DriverError(f'limit {limit:g} must be >= 0')
+        return limit
+
+    def command(self, v: float, t: float) -> float:
+        """Give it a command, no larger than its limit; return what it was given.
+
+        One that cannot tell its limit is in trouble and is given the safe command.
+        """
         self.commands += 1
-        clipped = self._clipped(v)
+        limit = self._known_limit()
+        if limit is None:
+            self.safe(self._configuration.safety.safe_command, t)
+            return self._configuration.safety.safe_command
+        clipped = min(max(v, -limit), limit)
         self.saturated += clipped != v
         self._attempt('command', lambda: self.driver.command(clipped, t))
+        return clipped
 
     def safe(self, v: float, t: float) -> None:
-        """Have it go to its safe state; nothing where it is not enabled."""
-        if self.enabled:
-            self._attempt('safe', lambda: self.driver.safe(self._clipped(v), t))
+        """Have it go to its safe state; nothing where it is not enabled.
+
+        The safe command goes out also where the limit cannot be told.
+        """
+        if not self.enabled:
+            return
+        limit = self._known_limit()
+        given = v if limit is None else min(max(v, -limit), limit)
+        self._attempt('safe', lambda: self.driver.safe(given, t))
 
     def advance(self, t: float, seq: int) -> Truth | None:
         """Let it know that the sample `seq` ends at loop time t [s].
@@ -167,7 +198,7 @@ class HostedDriver:
                 found = tuple(map(float, found))
             except (TypeError, ValueError):
                 found = ()
-            if len(found) != self.driver.measured or not all(map(math.isfinite, found)):
+            if len(found) != self.measured or not all(map(math.isfinite, found)):
                 self.bad += 1
                 found = None
         if found is None:
@@ -209,14 +240,18 @@ class HostedDriver:
         commands, saturated = (self.commands - self._window[0], self.saturated - self._window[1])
         if commands and saturated > SATURATED_SHARE * commands:
             report.say(Level.WARN, f'{saturated} of {commands} commands beyond the limit '
-                       f'{self.driver.limit:g} of the device')
+                       f'{self._known_limit() or 0.0:g} of the device')
         self._window = (self.commands, self.saturated)
         self.slowest = 0.0
         self._attempt('report', lambda: self.driver.report(report))
 
-    def _clipped(self, v: float) -> float:
-        limit = self.driver.limit
-        return min(max(v, -limit), limit)
+    def _known_limit(self) -> float | None:
+        """Return its limit; None where it cannot tell, which is trouble."""
+        try:
+            return self.limit
+        except DzRosError as error:
+            self._failure = self._failure or str(error)
+            return None
 
     def _acceleration(self, t: float) -> float:
         """Return x_d^(n) of the reference; 0 where there is none that is fresh."""
@@ -241,7 +276,7 @@ class HostedDriver:
         except LoopError:
             raise
         except Exception as error:  # noqa: BLE001  somebody else's code
-            self._failure = self._failure or _told(name, error)
+            self._failure = self._failure or told(name, error)
         finally:
             took = time.perf_counter() - started
             self.slowest = max(self.slowest, took)
@@ -250,27 +285,3 @@ class HostedDriver:
 
 
 _AT_ONCE = ('command', 'safe', 'advance', 'measure', 'trouble')
-
-
-def _checked(name: str, call: Callable[[], None]) -> None:
-    """Call something of a driver's that may fail in words.
-
-    Raises:
-        DriverError: It raised something else than our errors.
-    """
-    try:
-        call()
-    except DzRosError:
-        raise
-    except Exception as error:
-        raise DriverError(_told(name, error)) from error
-
-
-def _told(name: str, error: Exception) -> str:
-    """Return an exception of a driver's code in one line, with the place where it was raised."""
-    trace = error.__traceback__
-    while trace is not None and trace.tb_next is not None:
-        trace = trace.tb_next
-    place = '' if trace is None else (f' ({Path(trace.tb_frame.f_code.co_filename).name}, '
-                                      f'line {trace.tb_lineno})')
-    return f'{name}: {type(error).__name__}: {" ".join(str(error).split())}{place}'

@@ -165,4 +165,8 @@ def _bound(name: str, values: Array, noise: float, common: float) -> Bound:
         raise RecordingError(f'{name} is somewhere between {low:.3g} and {high:.3g}: the repeats '
                              'differ too much to say; make more and longer ones, or keep away '
                              'what disturbs the device')
+    if low > high:
+        raise RecordingError(f'{name} seems to be {middle:.3g}, on the wrong side of 0: the '
+                             'commands recorded are not those that acted, or the model of the '
+                             'plant is another one')
     return Bound(name, values, low, high, spread, noise, common)

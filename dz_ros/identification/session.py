@@ -37,7 +37,7 @@ class Samples:
     Attributes:
         seq: Number of the sample, ascending; a gap is a sample that was missed, shape (K,).
         x: x, x', …, as measured (and observed), shape (K, n).
-        v: Command held from the sample on, shape (K,).
+        v: Command the device was given and holds from the sample on, shape (K,).
         repeat: Repeat it belongs to, −1 = none, shape (K,).
         kinds: What went on.
         measured: How many of x, x', … the device measures.
@@ -71,7 +71,8 @@ def run_session(configuration: Configuration, experiment: Experiment,
         hosted: The driver; None = the configured one.
 
     Raises:
-        DriverError: The device fails, or does not do what it would have to.
+        DriverError: The device fails, takes less than the experiment's effort, or does not do
+            what it would have to.
         StoppedError: `stopped` said so.
     """
     settings = configuration.safety
@@ -81,6 +82,9 @@ def run_session(configuration: Configuration, experiment: Experiment,
     rows: list[tuple[int, tuple[float, ...], float, int, str]] = []
     driver.open()
     try:
+        if experiment.limits.effort > driver.limit:     # a device may tell its own once it is open
+            raise DriverError(f'{driver.driver.name} takes |v| up to {driver.limit:g}, effort = '
+                              f'{experiment.limits.effort:g} is more')
         driver.enable()
         try:
             _loop(configuration, experiment, driver, gate, wait, stopped, rows)
@@ -94,7 +98,7 @@ def run_session(configuration: Configuration, experiment: Experiment,
                    np.array([item[1] for item in rows], dtype=float),
                    np.array([item[2] for item in rows], dtype=float),
                    np.array([item[3] for item in rows], dtype=np.int64),
-                   tuple(item[4] for item in rows), driver.driver.measured,
+                   tuple(item[4] for item in rows), driver.measured,
                    configuration.loop.period)
 
 
@@ -123,7 +127,7 @@ def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver, gate: 
                 v = experiment.command(x)
             over += v is None
             given = gate.safe(t) if v is None else gate.let_out(v, t)
-            driver.command(given, t)
+            given = driver.command(given, t)
             rows.append((seq, nothing if x is None else x, given, experiment.repeat,
                          experiment.kind))
             seq += 1

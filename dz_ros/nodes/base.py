@@ -153,23 +153,27 @@ class LoopNode(Node):
 
     def missing(self) -> list[str]:
         """Return which peers do not listen yet to what this node publishes, in words."""
-        def place(name: str) -> str:
-            return topics.STANDS_FOR.get(name, name)
-
         found = []
-        peers, own = set(map(place, self.configuration.loop.peers)), place(self.get_name())
         for topic, (publisher, _) in self._records.items():
-            wanted = [name for name in topics.LISTENERS[topic]
-                      if name in peers and name != own]
+            wanted = self._peers_among(topics.LISTENERS[topic])
             if publisher.get_subscription_count() < len(wanted):
                 found.append(f'{", ".join(wanted)} to listen to {publisher.topic_name} '
                              '(loop.peers says who is waited for)')
-                continue
-            there = {place(info.node_name)
-                     for info in self.get_subscriptions_info_by_topic(publisher.topic_name)}
-            found += [f'{name} to listen to {publisher.topic_name}' for name in wanted
-                      if name not in there]
+            else:
+                found += self.deaf(topic, wanted)
         return found
+
+    def deaf(self, topic: str, names: Sequence[str]) -> list[str]:
+        """Return which of these nodes, as far as they are peers, do not listen to a topic yet."""
+        topic = self.resolve_topic_name(topic)
+        there = {_place(info.node_name) for info in self.get_subscriptions_info_by_topic(topic)}
+        return [f'{name} to listen to {topic}' for name in self._peers_among(names)
+                if name not in there]
+
+    def _peers_among(self, names: Sequence[str]) -> list[str]:
+        """Return those of the names that are peers, this node aside."""
+        peers = set(map(_place, self.configuration.loop.peers)) - {_place(self.get_name())}
+        return [name for name in names if name in peers]
 
     def wait_for_peers(self, *more: Callable[[], list[str]]) -> bool:
         """Spin until all peers are there; return False if the node is told to end before.
@@ -216,6 +220,11 @@ class LoopNode(Node):
         self.destroy_node()
         for held in self._claims:
             held.close()
+
+
+def _place(name: str) -> str:
+    """Return whose place a node of this name takes."""
+    return topics.STANDS_FOR.get(name, name)
 
 
 def deliver(*publishers: Publisher) -> None:

@@ -159,6 +159,8 @@ class Hosting(GuardedNode):
         """Leave a latched mode, the device its trouble; return why not."""
         now = self._now()
         heard = not self._hosted.trouble()
+        if not heard and self.supervisor.life.value == 'inactive' and not self.supervisor.latched:
+            return self._hosted.recover()       # the device's own latch, which refuses power
         refused = self._guard.held_by(now, heard)
         if not refused:
             refused = self._hosted.recover() or self._guard.reset(now, heard)
@@ -265,7 +267,7 @@ class Hosting(GuardedNode):
 
     def _check_observer(self) -> None:
         """Log what the design rule says of an observed velocity, where it warns."""
-        for finding in check_observer(self.configuration, self._hosted.driver.measured):
+        for finding in check_observer(self.configuration, self._hosted.measured):
             if finding.level != INFO:
                 self.get_logger().warning(f'design rule {finding.rule}: {finding.words}; '
                                           f'{finding.change}')

@@ -53,6 +53,7 @@ class Joint(Driver):
     name = 'joint'
     summary = 'a joint of ros2_control: forwarded command, joint states'
     order = 0
+    requires = ('rclpy', 'sensor_msgs', 'std_msgs')
     Parameters = JointParameters
 
     def __init__(self, parameters: Any, configuration: Configuration) -> None:

@@ -38,6 +38,8 @@ BEHIND = 2000
 """More messages than this in the queue mean that the disk does not keep up."""
 LET_COLLECT = {'realtime': 0.05, 'lockstep': 0.01}
 """`loop.timing` → for how long messages are let collect [s]."""
+GATHER, HOLD = 0.01, 10.0
+"""While the loop gathers, it is looked so often who listens, for so long at most [s]."""
 QUIET = 0.2
 """The recorder ends when nothing has arrived for this long [s] …"""
 DRAIN_LIMIT = 5.0
@@ -73,12 +75,28 @@ class RecorderNode(LoopNode):
             if self.lockstep and name != 'events':      # what topics.LOCKSTEP offers
                 qos = replace(qos, history='keep_all', depth=0)
             self._writer.add_topic(topic, channel.type.name, qos)
-            self._taker.subscribe(topics.TYPES[name], topic,
-                                  topics.everything(name, self.lockstep),
-                                  self._storer(name, topic))
-
+        # Who listens first is served first: where the loop waits for the recorder, it comes last.
+        waited_for = self.get_name() in self.configuration.loop.peers
+        self._held = [name for name in CHANNELS if waited_for and topics.LISTENERS.get(name)]
+        self._held_until = time.monotonic() + HOLD
+        for name in CHANNELS:
+            if name not in self._held:
+                self._listen(name)
         self._stored = 0
         self._diagnosing = Diagnosing(self, self._report)
+
+    def _listen(self, name: str) -> None:
+        topic = self.resolve_topic_name(name)
+        self._taker.subscribe(topics.TYPES[name], topic, topics.everything(name, self.lockstep),
+                              self._storer(name, topic))
+
+    def _listen_after_others(self) -> None:
+        """Listen to the topics that those of the loop who hear them have begun to listen to."""
+        late = time.monotonic() > self._held_until
+        for name in list(self._held):
+            if late or not self.deaf(name, topics.LISTENERS[name]):
+                self._held.remove(name)
+                self._listen(name)
 
     def _report(self) -> Report:
         """Return how the recorder is."""
@@ -144,8 +162,10 @@ class RecorderNode(LoopNode):
         """Record until told to end and nothing more arrives, or until the disk refuses."""
         served, collect = 0.0, LET_COLLECT[self.configuration.loop.timing]
         while not self.stopping and self._writer.error is None:
-            self._stored += self._take(SPIN_LIMIT)
-            time.sleep(collect)
+            if self._held:
+                self._listen_after_others()
+            self._stored += self._take(GATHER if self._held else SPIN_LIMIT)
+            time.sleep(GATHER if self._held else collect)
             if time.monotonic() - served > SERVE:
                 self._executor.spin_once(timeout_sec=0.0)
                 served = time.monotonic()

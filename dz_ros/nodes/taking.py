@@ -49,10 +49,11 @@ class Taker:
         self._wait_set: Any = None
 
     def subscribe(self, message_type: Any, topic: str, qos: Any, store: Store) -> None:
-        """Subscribe a topic before the first `take_all`."""
+        """Subscribe a topic, between two calls of `take_all`."""
         subscription = self._node.create_subscription(
             message_type, topic, _never, qos, callback_group=self._group, raw=True)
         self._subscriptions.append((subscription, store))
+        self._wait_set = None
 
     def take_all(self, timeout: float) -> int:
         """Wait for messages, hand over all that have come, return their number.

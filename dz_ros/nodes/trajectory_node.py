@@ -70,7 +70,8 @@ class TrajectoryNode(ManagedNode):
 
     def work(self) -> bool:
         """Follow the states while active."""
-        if not self.wait_for_peers():
+        # Who listens first is served first, and the controller is in more of a hurry.
+        if not self.wait_for_peers(lambda: self.deaf('state', ('controller_node',))):
             return False
         if not self._listening:
             self._listening = True

@@ -11,10 +11,11 @@ from collections.abc import Callable, Mapping, Sequence
 import csv
 from dataclasses import dataclass, field
 import io
+from itertools import pairwise
 from typing import Any
 
 from dz_ros.studies.outcome import COLUMNS, Row, rows_of
-from dz_ros.studies.pool import execute, Task
+from dz_ros.studies.pool import AHEAD, cores, execute, Task
 from dz_ros.studies.scenarios import (
     base_configuration,
     choose,
@@ -148,25 +149,43 @@ def run_arena(plan: Plan, jobs: int = 0, cluster: str | None = None,
         plan: What to compare.
         jobs: Processes; 0 = one for each core.
         cluster: Address of a dask.distributed scheduler; None = this machine.
-        progress: Called with runs done, runs in all, the entrant that is done.
+        progress: Called with runs done, runs in all, the entrant that some of them were of.
     """
     base, measure_by = base_configuration(plan.duration), yardstick()
     changes = [member for scenario in plan.scenarios.values() for member in scenario.members]
-    # One task an entrant: its law is compiled once. What takes longest to compile goes first.
-    order = sorted(plan.entrants.values(), key=lambda item: item.name not in _SLOW)
-    tasks: list[Task] = [(rows_of, (base, [{**entrant.changes, **item} for item in changes],
-                                    measure_by)) for entrant in order]
-    found: dict[str, list[Row]] = {}
+    pieces = divide(plan, jobs or cores())
+    tasks: list[Task] = [(rows_of, (base, [{**plan.entrants[name].changes, **item}
+                                           for item in changes[begin:end]], measure_by))
+                         for name, begin, end in pieces]
+    found: dict[str, list[Row]] = {name: [{}] * len(changes) for name in plan.entrants}
+    done = 0
     for place, rows in execute(tasks, jobs, cluster):
-        found[order[place].name] = rows
+        name, begin, end = pieces[place]
+        found[name][begin:end] = rows
+        done += len(rows)
         if progress is not None:
-            progress(len(found) * len(changes), plan.runs, order[place].name)
+            progress(done, plan.runs, name)
     cells = {}
     for name in plan.entrants:
         rows = iter(found[name])
         for scenario in plan.scenarios.values():
             cells[name, scenario.name] = Cell(tuple(next(rows) for _ in scenario.members))
     return Arena(plan, cells)
+
+
+def divide(plan: Plan, jobs: int) -> list[tuple[str, int, int]]:
+    """Return what each task runs: an entrant, its first run and the one after its last.
+
+    A process compiles a law once, so an entrant is divided only as far as it takes to give every
+    process `AHEAD` tasks; a single process, which compiles once anyhow, takes run by run. What
+    takes longest to compile goes first.
+    """
+    runs = plan.runs // len(plan.entrants)
+    pieces = runs if jobs == 1 else min(runs, -(-AHEAD * jobs // len(plan.entrants)))
+    ends = [runs * piece // pieces for piece in range(pieces + 1)]
+    return [(name, begin, end)
+            for name in sorted(plan.entrants, key=lambda name: name not in _SLOW)
+            for begin, end in pairwise(ends)]
 
 
 _SLOW = ('neural', 'robust', 'fuzzy', 'adaptive_inverse')

@@ -111,8 +111,9 @@ def conditions(arena: Arena) -> str:
     bounds = yardstick()
     return (f'{arena.plan.runs} runs of {arena.plan.duration:g} s of the example at 200 Hz, '
             f'{len(arena.plan.entrants)} laws, {len(arena.plan.scenarios)} scenarios, '
-            f'{arena.plan.seeds} seeds; numbers over the last 10 s, of the true state. Ω_ε is '
-            f"that of the paper's law for everybody: |x̃| ≤ {bounds[0]:g}, |x̃'| ≤ {bounds[1]:g}. "
+            f'{arena.plan.seeds} seeds; numbers over the last 10 s, of the true state, but peak '
+            "|v| over the whole run. Ω_ε is that of the paper's law for everybody: "
+            f"|x̃| ≤ {bounds[0]:g}, |x̃'| ≤ {bounds[1]:g}. "
             'Means over seeds or kicks; TV is the total variation of v.')
 
 

@@ -2,9 +2,10 @@
 
 The numbers are those of `dz_ros.analysis.metrics` over the last 10 s (the last half of a shorter
 run), but of the *true* state: measurement noise is what the law has to live with, not part of its
-error. A run is lost where `dz_ros.core.stability` says so, or where it overflows; its row says
-why and stays in the table. `omega` is the share of the window within Ω_ε, in a comparison that of
-a yardstick which is the same for every law, so that a law cannot win by naming a wider set.
+error. A run is lost where `dz_ros.core.stability` says so, where it overflows, and where anything
+in it raises, a plant or law of one's own most likely; its row says why and stays in the
+table. `omega` is the share of the window within Ω_ε, in a comparison that of a yardstick which is
+the same for every law, so that a law cannot win by naming a wider set.
 """
 
 from __future__ import annotations
@@ -35,6 +36,8 @@ NUMBERS = ('error_max', 'error_rms', 's_over_epsilon_max', 'layer_share', 'v_rms
 COLUMNS = (*NUMBERS, 'omega', 'chatter_share', 'lost', 'reason')
 """Every column of a row: `NUMBERS`; share of the window within Ω_ε, 0 … 1; loop gain over the
 gain at which chatter begins at this b m and this delay; 1 where the run was lost; why."""
+LONGEST = 300
+"""Letters of a reason at most; some compilers explain themselves over pages."""
 
 
 def run_row(configuration: Configuration, yardstick: Sequence[float] | None = None) -> Row:
@@ -44,22 +47,30 @@ def run_row(configuration: Configuration, yardstick: Sequence[float] | None = No
         configuration: What to run.
         yardstick: Bounds on |x̃_i| that count as Ω_ε, shape (n,); None = the law's own.
     """
-    row: Row = dict.fromkeys(COLUMNS)
-    row.update(lost=0, reason='', chatter_share=chatter_share(configuration))
-    if configuration.loop.samples < 4:
-        return {**row, 'lost': 1, 'reason': 'loop.duration is too short to measure anything'}
+    row: Row = {**dict.fromkeys(COLUMNS), 'lost': 0, 'reason': ''}
     try:
+        row['chatter_share'] = chatter_share(configuration)
+        if configuration.loop.samples < 4:
+            return {**row, 'lost': 1, 'reason': 'loop.duration is too short to measure anything'}
         run = simulate_fast(configuration)
+        finite = np.isfinite(run.x).all(axis=1) & np.isfinite(run.v)
+        if not finite.all():
+            begin = run.t[int(finite.argmin())]
+            return {**row, 'lost': 1, 'reason': f'diverged: not finite from t = {begin:g} s on'}
+        row.update(measured(run, yardstick))
+        if run_is_lost(run):
+            row.update(lost=1, reason='does not follow its reference at the end')
     except (ArithmeticError, ValueError) as error:
-        return {**row, 'lost': 1, 'reason': f'diverged: {error}'}
-    finite = np.isfinite(run.x).all(axis=1) & np.isfinite(run.v)
-    if not finite.all():
-        return {**row, 'lost': 1,
-                'reason': f'diverged: not finite from t = {run.t[int(finite.argmin())]:g} s on'}
-    row.update(measured(run, yardstick))
-    if run_is_lost(run):
-        row.update(lost=1, reason='does not follow its reference at the end')
+        return {**row, 'lost': 1, 'reason': f'diverged: {one_line(error)}'}
+    except Exception as error:  # noqa: BLE001  whatever a class of one's own raises
+        return {**row, 'lost': 1, 'reason': f'failed: {one_line(error)}'}
     return row
+
+
+def one_line(error: Exception) -> str:
+    """Return class and message of an error in one line, cut where it is long."""
+    text = ' '.join(f'{type(error).__name__}: {error}'.split()).rstrip(': ')
+    return text if len(text) <= LONGEST else f'{text[:LONGEST - 1]}…'
 
 
 def row_of(base: Mapping[str, Any], changed: Mapping[str, Any],
@@ -69,6 +80,8 @@ def row_of(base: Mapping[str, Any], changed: Mapping[str, Any],
         configuration = Configuration.from_flat({**base, **changed})
     except DzRosError as error:
         return {**dict.fromkeys(COLUMNS), 'lost': 1, 'reason': f'refused: {error}'}
+    except Exception as error:  # noqa: BLE001  the same
+        return {**dict.fromkeys(COLUMNS), 'lost': 1, 'reason': f'failed: {one_line(error)}'}
     return run_row(configuration, yardstick)
 
 

@@ -7,14 +7,19 @@ hang on how tasks are spread: a task carries everything it needs, seeds included
 - several: processes, started anew (spawn), so that nothing is inherited but the package
 - a cluster: any dask.distributed scheduler whose workers have dz_ros. What a worker was doing when
   it died is given to another one; what it had done and not yet handed over is done again.
+
+However many tasks there are, only `AHEAD` for each worker are taken from the iterable, begun and
+not yet handed on; a result is forgotten when it is handed on. So memory does not grow with their
+number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import as_completed, ProcessPoolExecutor
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from importlib.util import find_spec
+from itertools import chain, islice
 import multiprocessing
 import os
 from typing import Any
@@ -26,6 +31,8 @@ Task = tuple[Callable[..., Any], tuple[Any, ...]]
 
 PATIENCE = 30
 """Longest wait for a scheduler to answer [s]."""
+AHEAD = 3
+"""Tasks in flight for each worker: one at work, two so that it never waits for the next."""
 
 
 def cores() -> int:
@@ -35,12 +42,12 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def execute(tasks: Sequence[Task], jobs: int = 0,
+def execute(tasks: Iterable[Task], jobs: int = 0,
             cluster: str | None = None) -> Iterator[tuple[int, Any]]:
-    """Yield (place of a task, its result) as results become ready.
+    """Yield (place of a task, its result) as results become ready, each once.
 
     Args:
-        tasks: What to do; those at the front are begun first.
+        tasks: What to do, taken as it is needed; those at the front are begun first.
         jobs: Processes; 0 = one for each core.
         cluster: Address of a dask.distributed scheduler, e.g. ``tcp://host:8786``; None = here.
 
@@ -51,33 +58,41 @@ def execute(tasks: Sequence[Task], jobs: int = 0,
     """
     if jobs < 0:
         raise ConfigurationError('jobs', jobs, 'must be 0 (all cores) or more')
+    coming = iter(tasks)
     if cluster is not None:
-        yield from _on_cluster(tasks, cluster)
+        yield from _on_cluster(enumerate(coming), cluster)
         return
-    jobs = min(jobs or cores(), len(tasks))
-    if jobs <= 1:
-        for place, (function, arguments) in enumerate(tasks):
+    first = list(islice(coming, jobs or cores()))
+    waiting = enumerate(chain(first, coming))
+    if len(first) <= 1:
+        for place, (function, arguments) in waiting:
             yield place, function(*arguments)
         return
-    with ProcessPoolExecutor(jobs, multiprocessing.get_context('spawn')) as pool:
-        futures = {pool.submit(function, *arguments): place
-                   for place, (function, arguments) in enumerate(tasks)}
+    with ProcessPoolExecutor(len(first), multiprocessing.get_context('spawn')) as pool:
+        flying: dict[Future[Any], int] = {}
         try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
+            while True:
+                for place, (function, arguments) in islice(waiting,
+                                                           AHEAD * len(first) - len(flying)):
+                    flying[pool.submit(function, *arguments)] = place
+                if not flying:
+                    return
+                ready = wait(flying, return_when=FIRST_COMPLETED).done
+                while ready:
+                    future = ready.pop()
+                    yield flying.pop(future), future.result()
         except BrokenProcessPool as error:
             raise LoopError('a worker process was killed; fewer jobs need less memory') from error
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[tuple[int, Any]]:
+def _on_cluster(waiting: Iterator[tuple[int, Task]], address: str) -> Iterator[tuple[int, Any]]:
     """Yield results of the workers of a scheduler."""
     if find_spec('distributed') is None:
         raise MissingDependencyError("dask.distributed is not installed: pip install "
                                      "'dz_ros[cluster]'")
-    from distributed import as_completed as as_ready
-    from distributed import Client, KilledWorker
+    from distributed import as_completed, Client, KilledWorker
 
     try:
         client = Client(address, timeout=PATIENCE, set_as_default=False)
@@ -85,18 +100,25 @@ def _on_cluster(tasks: Sequence[Task], address: str) -> Iterator[tuple[int, Any]
         raise ConfigurationError('--cluster', address,
                                  f'no scheduler answers there: {error}') from error
     with client, client.as_current():
-        places = {}
-        futures = []
-        for place, (function, arguments) in enumerate(tasks):
-            future = client.submit(function, *arguments, pure=False, priority=-place)
-            places[future.key] = place
-            futures.append(future)
+        places: dict[str, int] = {}
+        flying = as_completed()
+
+        def fill() -> None:
+            """Submit as many as the workers that are there now can use."""
+            most = AHEAD * max(1, sum(client.nthreads().values()))
+            for place, (function, arguments) in islice(waiting, max(0, most - len(places))):
+                future = client.submit(function, *arguments, pure=False, priority=-place)
+                places[future.key] = place
+                flying.add(future)
+
         try:
-            for future in as_ready(futures):
-                place = places[future.key]
-                result = future.result()
-                future.release()
-                yield place, result
+            fill()
+            while places:
+                for future in flying.next_batch():
+                    place, result = places.pop(future.key), future.result()
+                    future.release()
+                    yield place, result
+                fill()
         except KilledWorker as error:
             raise LoopError(f'the scheduler gave up on a task, its workers keep dying: {error}'
                             ) from error

@@ -11,7 +11,7 @@ points fill the box more evenly than random ones; N best a power of two).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 import hashlib
 import itertools
@@ -28,6 +28,8 @@ from dz_ros.errors import ConfigurationError
 SAMPLERS = ('grid', 'sobol', 'random')
 MOST = 10_000_000
 """More runs than this are refused."""
+BLOCK = 4096
+"""Points drawn at a time, a power of two, as Sobol sequences want it."""
 _INDEXED = re.compile(r'(.+)\[(\d+)\]$')
 
 
@@ -142,21 +144,27 @@ class SweepPlan:
             return self.samples
         return math.prod(len(axis.values) or axis.count for axis in self.axes)
 
-    def points(self) -> list[dict[str, Any]]:
-        """Return key → value of every run, in order; the last axis varies fastest on a grid."""
+    def points(self) -> Iterator[dict[str, Any]]:
+        """Yield key → value of every run, in order; the last axis varies fastest on a grid."""
         keys = [axis.key for axis in self.axes]
         if self.sampler == 'grid':
-            return [dict(zip(keys, values, strict=True))
-                    for values in itertools.product(*(axis.grid() for axis in self.axes))]
+            for values in itertools.product(*(axis.grid() for axis in self.axes)):
+                yield dict(zip(keys, values, strict=True))
+            return
+        for row in itertools.islice(self._shares(), self.samples):
+            yield {axis.key: axis.at(float(share)) for axis, share in zip(self.axes, row,
+                                                                          strict=True)}
+
+    def _shares(self) -> Iterator[Any]:
+        """Yield samples of the unit box without end, drawn in blocks: the same as in one piece."""
         if self.sampler == 'random':
-            shares = np.random.default_rng(self.seed).random((self.samples, len(keys)))
-        else:
-            from scipy.stats import qmc
-            shares = qmc.Sobol(len(keys), seed=self.seed).random(
-                2 ** max(0, math.ceil(math.log2(self.samples))))[:self.samples]
-        return [{axis.key: axis.at(float(share)) for axis, share in zip(self.axes, row,
-                                                                        strict=True)}
-                for row in shares]
+            generator = np.random.default_rng(self.seed)
+            while True:
+                yield from generator.random((BLOCK, len(self.axes)))
+        from scipy.stats import qmc
+        sobol = qmc.Sobol(len(self.axes), seed=self.seed)
+        while True:
+            yield from sobol.random(BLOCK)
 
     def changes(self, point: Mapping[str, Any]) -> dict[str, Any]:
         """Return the keys of the configuration that a point changes, KEY[i] put in place.

@@ -1,5 +1,6 @@
 """dz driver list: what is installed, and what keeps one from loading or opening."""
 
+from dataclasses import dataclass
 import json
 import sys
 from types import SimpleNamespace
@@ -9,10 +10,12 @@ import pytest
 from dz_ros.cli.driver_check import line
 from dz_ros.cli.driver_list import describe
 from dz_ros.cli.main import main
+from dz_ros.core.configuration import Configuration
 from dz_ros.core.driver import DRIVERS
 from dz_ros.drivers.conformance import Result
 from dz_ros.drivers.simulated import SimulatedActuator
 from dz_ros.errors import UnknownNameError
+from dz_ros.nodes.joint_driver import Joint
 
 
 def test_every_driver_is_listed_with_what_it_is(capsys):
@@ -37,6 +40,54 @@ def test_one_that_cannot_load_says_why():
     assert row['error'] == "driver.name = 'x': cannot be loaded: no such file"
 
 
+def only(monkeypatch, **classes):
+    """Have these drivers installed and no others."""
+    monkeypatch.setitem(sys.modules, 'some_drivers', SimpleNamespace(**classes))
+    monkeypatch.setattr('dz_ros.cli.driver_list.DRIVERS', type(DRIVERS)(
+        DRIVERS.kind, DRIVERS.key, 'none', DRIVERS.base,
+        {name: f'some_drivers:{name}' for name in classes}))
+
+
+@dataclass
+class Thawed:
+    pass
+
+
+@pytest.mark.parametrize('parameters', [None, 7, SimpleNamespace, Thawed])
+def test_one_whose_parameters_are_none_ends_no_list(monkeypatch, capsys, parameters):
+    class Bad(SimulatedActuator):
+        name, Parameters = 'bad', parameters
+
+    only(monkeypatch, bad=Bad, good=SimulatedActuator)
+    assert main(['driver', 'list']) == 0
+    text = capsys.readouterr().out
+    assert 'Parameters must be a frozen dataclass of dz_ros.core.schema.parameter fields' in text
+    assert SimulatedActuator.summary in text
+    with pytest.raises(UnknownNameError, match='Parameters must be a frozen dataclass') as caught:
+        Configuration.from_flat({'driver.name': 'some_drivers:bad'})
+    assert '\n' not in str(caught.value)
+
+
+def test_one_that_cannot_be_read_ends_no_list(monkeypatch, capsys):
+    class Bad(SimulatedActuator):
+        name, requires = 'bad', None
+
+    only(monkeypatch, bad=Bad, good=SimulatedActuator)
+    assert main(['driver', 'list']) == 0
+    text = capsys.readouterr().out
+    assert 'cannot be read: TypeError' in text
+    assert SimulatedActuator.summary in text
+
+
+def test_the_bridge_to_ros2_control_names_what_it_needs(monkeypatch, capsys):
+    monkeypatch.setattr('dz_ros.cli.driver_list._there', lambda module: 'msgs' not in module)
+    assert main(['driver', 'list']) == 0
+    text = capsys.readouterr().out
+    assert 'cannot be opened here: sensor_msgs, std_msgs is not installed' in text
+    assert describe('joint', DRIVERS.load('joint'))['missing'] == ['sensor_msgs', 'std_msgs']
+    assert Joint.requires[0] == 'rclpy'
+
+
 def test_a_library_that_is_missing_is_named(monkeypatch, capsys):
     class Needs(SimulatedActuator):
         name, requires = 'needs', ('math', 'no_such_library', 'no_such.library')
@@ -44,10 +95,7 @@ def test_a_library_that_is_missing_is_named(monkeypatch, capsys):
 
     assert describe('needs', Needs)['missing'] == ['no_such_library', 'no_such.library']
     assert describe('needs', Needs)['units'] == 'of its own'
-    monkeypatch.setitem(sys.modules, 'needs_driver', SimpleNamespace(Needs=Needs))
-    builtin = {'needs': 'needs_driver:Needs'}
-    monkeypatch.setattr('dz_ros.cli.driver_list.DRIVERS',
-                        type(DRIVERS)(DRIVERS.kind, DRIVERS.key, 'none', DRIVERS.base, builtin))
+    only(monkeypatch, needs=Needs)
     assert main(['driver', 'list']) == 0
     assert 'cannot be opened here: no_such_library, no_such.library is not installed' in (
         capsys.readouterr().out)

@@ -117,6 +117,47 @@ def test_a_device_that_holds_the_thread_is_left_behind_in_words(device):
         feeder.stop(0.05)
 
 
+def test_a_thread_that_was_left_behind_is_not_revived_by_the_next_start(device):
+    feeder = Feeder(device, 0.005, fresh=TIME_OUT)
+    feeder.start()
+    assert device.asked.acquire(timeout=TIME_OUT)
+    left = feeder._thread
+    with pytest.raises(DriverError, match='left behind'):
+        feeder.stop(0.05)
+    feeder.put(9.0, 0.0)        # too late for the one, not for the other
+    feeder.start()
+    assert device.asked.acquire(timeout=TIME_OUT)       # the new thread's; both are held
+    device.answer = OSError('of the old one, or the new one')
+    device.turn.release(2)
+    left.join(TIME_OUT)
+    assert not left.is_alive()
+    device.answer = (5.0, 6.0)
+    device.turn.release(1000)
+    until(lambda: feeder.newest() == (5.0, 6.0))
+    feeder.put(1.0, 0.0)
+    until(lambda: device.orders == [Order(1.0, 0.0)])
+    feeder.stop(TIME_OUT)
+
+
+def test_a_start_knows_nothing_of_before(device, feeder):
+    device.turn.release()
+    until(lambda: feeder.newest() == (1.0, 2.0))
+    device.answer = OSError('bus off')
+    device.turn.release()
+    until(feeder.trouble)
+    for _ in range(3):      # the third one is not answered
+        assert device.asked.acquire(timeout=TIME_OUT)
+    with pytest.raises(DriverError):
+        feeder.stop(0.02)
+    feeder.put(3.0, 0.0)
+    feeder.start()
+    assert feeder.newest() is None
+    assert feeder.trouble() == ''
+    device.turn.release(1000)
+    until(lambda: feeder.exchanges > 3)
+    assert device.orders == []
+
+
 def test_the_longest_exchange_is_measured(device, feeder):
     device.turn.release()
     until(lambda: feeder.exchanges > 0)

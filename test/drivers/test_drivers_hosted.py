@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from types import SimpleNamespace
+from typing import ClassVar
 
 import pytest
 
@@ -215,6 +216,61 @@ def test_code_that_raises_is_trouble_with_its_place_until_it_recovers(make, name
         assert 'ZeroDivisionError' in hosted.recover()
     del hosted.driver.answers[name]
     assert hosted.recover() == ''
+
+
+class Forgetful(Told):
+    """Tells its limit, and what it measures, as the test says."""
+
+    limits: ClassVar = {'limit': LIMIT, 'measured': 2}
+
+    def _tell(self, name):
+        found = self.limits[name]
+        if isinstance(found, Exception):
+            raise found
+        return found
+
+    @property
+    def limit(self):
+        return self._tell('limit')
+
+    @property
+    def measured(self):
+        return self._tell('measured')
+
+
+@pytest.mark.parametrize(('limit', 'words'), [
+    (OSError('gone'), 'limit: OSError: gone (test_drivers_hosted.py, line '),
+    (DriverError('gone'), 'gone'), (math.nan, 'limit nan must be >= 0'), (-1.0, 'limit -1'),
+    (None, 'limit: TypeError')])
+def test_a_limit_that_cannot_be_told_is_trouble_and_only_safe_commands_go_out(
+        make, monkeypatch, limit, words):
+    hosted = running(make(Forgetful))
+    assert hosted.command(7.0, 0.1) == LIMIT
+    monkeypatch.setitem(Forgetful.limits, 'limit', limit)
+    assert hosted.command(3.0, 0.2) == 0.0
+    assert words in hosted.trouble()
+    hosted.safe(0.5, 0.3)
+    hosted.report(Report())
+    assert [call for call in hosted.driver.calls if call[0] in ('command', 'safe')] == [
+        ('command', LIMIT, 0.1), ('safe', 0.0, 0.2), ('safe', 0.5, 0.3)]
+    with pytest.raises(DriverError):
+        _ = hosted.limit
+    assert hosted.disable(0.0, 1.0)     # says so, and has let go
+    assert names(hosted)[-2:] == ['safe', 'disable']
+    monkeypatch.setitem(Forgetful.limits, 'limit', 2.0)
+    hosted.enable()
+    assert hosted.trouble() == ''
+    assert hosted.command(3.0, 0.0) == 2.0
+
+
+def test_what_it_measures_is_asked_once(make, monkeypatch):
+    hosted = running(make(Forgetful))
+    monkeypatch.setitem(Forgetful.limits, 'measured', OSError('gone'))
+    hosted.driver.answers['measure'] = (1.0, 2.0)
+    assert hosted.measure(0.0) == (1.0, 2.0)
+    assert hosted.trouble() == ''
+    with pytest.raises(ConfigurationError, match='measured: OSError: gone'):
+        make(Forgetful)
 
 
 def test_a_diverged_simulation_ends_the_loop(make):

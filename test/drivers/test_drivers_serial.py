@@ -6,7 +6,7 @@ import time
 import pytest
 
 from dz_ros.core.safety.health import Report
-from dz_ros.drivers.serial.protocol import Mode
+from dz_ros.drivers.serial.protocol import Mode, Request
 from dz_ros.errors import DriverError
 
 pytest.importorskip('serial', reason="pyserial is not installed: pip install 'dz_ros[serial]'")
@@ -46,6 +46,15 @@ def recovered(driver):
     except DriverError:
         return False
     return True
+
+
+def refusal(driver):
+    """Return why a driver cannot be enabled."""
+    try:
+        driver.enable()
+    except DriverError as error:
+        return str(error)
+    return ''
 
 
 def test_it_opens_moves_measures_and_lets_go(serial_device, driver, until):
@@ -121,6 +130,53 @@ def test_trouble_lasts_until_the_operator_resets(serial_device, driver, fault, w
     assert found.trouble() == ''
     until(lambda: mode(found) is Mode.RUN, found, 1.0)
     assert found.measure() is not None
+
+
+def test_a_fault_from_before_is_reset_by_a_host_that_starts_anew(serial_device, driver, make,
+                                                                 until):
+    process = serial_device('trip@0.2+1.5')
+    first = driver()
+    until(lambda: first.trouble() == 'the device reports fault 7', first, 1.0)
+    first.disable()
+    first.close()
+    second = make(serial_device.port, fresh=400, silence=5.0, patience=30.0)
+    second.open()
+    try:
+        refused = refusal(second)
+        if not refused:         # the fault has ended meanwhile
+            process.wait_for_line('trip ends')
+        else:
+            assert 'does not leave its fault: the device reports fault 7' in refused
+            process.wait_for_line('trip ends')
+            assert mode(second) is Mode.FAULT       # latched
+            until(lambda: not refusal(second))
+        assert second.trouble() == ''
+        assert mode(second) is Mode.SAFE
+        until(lambda: mode(second) is Mode.RUN, second, 1.0)
+        second.disable()
+    finally:
+        second.close()
+
+
+def test_an_e_stop_is_left_by_a_reset_without_power_and_then_enabled(serial_device, driver, make,
+                                                                     until):
+    serial_device()
+    first = driver()
+    first._ask(Request.ESTOP, (Mode.ESTOP,), 'stop')
+    first.close()
+    second = make(serial_device.port, fresh=400, silence=5.0, patience=30.0)
+    second.open()
+    try:
+        with pytest.raises(DriverError, match='e-stop of the device is latched'):
+            second.enable()
+        assert mode(second) is Mode.ESTOP
+        second.recover()
+        assert mode(second) is Mode.DISABLED
+        second.enable()
+        until(lambda: mode(second) is Mode.RUN, second, 1.0)
+        second.disable()
+    finally:
+        second.close()
 
 
 def test_it_can_be_closed_and_opened_again_and_what_happened_between_is_forgotten(

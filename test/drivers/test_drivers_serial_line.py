@@ -123,12 +123,28 @@ def test_a_device_that_measures_too_little_is_said(fake, opening):
 
 @pytest.mark.parametrize(('mode', 'words'), [
     (Mode.DISABLED, 'does not take power: no answer'),
-    (Mode.FAULT, 'reports fault 5'),
-    (Mode.ESTOP, 'e-stop of the device is pressed'),
+    (Mode.FAULT, 'does not leave its fault: the device reports fault 5'),
+    (Mode.ESTOP, 'e-stop of the device is latched: release it, then reset'),
 ])
 def test_a_device_that_takes_no_power_is_said(fake, mode, words, opening):
     with pytest.raises(DriverError, match=words):
         opening(fake(lambda frame: polite(frame, mode=mode, fault=5)).port)
+
+
+def test_an_e_stop_is_lifted_by_a_reset_alone(fake, make):
+    there = fake(lambda frame: polite(frame, mode=Mode.ESTOP))
+    driver = make(there.port)
+    driver.open()
+    try:
+        with pytest.raises(DriverError, match='e-stop'):
+            driver.enable()
+        assert not [frame for frame in there.heard if isinstance(frame, Command)]
+        with pytest.raises(DriverError, match='does not leave its fault'):
+            driver.recover()
+    finally:
+        driver.close()
+    commands = {frame.request for frame in there.heard if isinstance(frame, Command)}
+    assert commands == {Request.RESET}      # and no power without having had it
 
 
 def test_another_device_after_a_reconnection_is_not_taken(fake, make, until):

@@ -12,7 +12,7 @@ from dz_ros.core.loop import simulate
 from dz_ros.drivers.simulated import SimulatedActuator
 from dz_ros.errors import RecordingError
 from dz_ros.files import flat_parameters
-from dz_ros.identification.bounds import identify, tolerance_factor
+from dz_ros.identification.bounds import _bound, identify, tolerance_factor
 from dz_ros.identification.drifting import hats
 from dz_ros.identification.evaluate import evaluate
 from dz_ros.identification.experiment import Experiment
@@ -126,6 +126,15 @@ def test_hats_add_up_and_are_one_at_their_nodes():
     (10, 0.95, 3.379), (10, 0.9, 2.839), (20, 0.95, 2.752), (12, 0.9, 2.655)])
 def test_tolerance_factor_is_the_tabulated_one(count, content, factor):
     assert tolerance_factor(count, content, 0.95) == pytest.approx(factor, rel=3e-3)
+
+
+@pytest.mark.parametrize(('name', 'sign'), [('b_r', -1.0), ('b_l', 1.0)])
+def test_a_break_point_on_the_wrong_side_is_refused(name, sign):
+    values = sign * np.array([0.50, 0.51, 0.49, 0.50, 0.52])
+    with pytest.raises(RecordingError, match=rf'{name} seems to be -?0\.504, on the wrong side'):
+        _bound(name, values, 0.001, 0.001)
+    right = _bound(name, -values, 0.001, 0.001)
+    assert right.low < right.high
 
 
 def test_what_the_motion_does_not_tell_is_said():

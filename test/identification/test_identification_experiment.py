@@ -92,6 +92,42 @@ def test_whatever_the_device_is_the_command_is_limited_and_the_last_one_is_safe(
         assert len(experiment.breaches) <= BREACHES
 
 
+class Learns(Watched):
+    """Knows its limit once it is open, and another one at command 300."""
+
+    first, later = 4.0, 4.0
+
+    @property
+    def limit(self):
+        if not self.told:
+            return math.inf
+        return self.first if len(self.told) < 400 else self.later
+
+    def open(self):
+        super().open()
+        self.told.append('opened')
+
+
+def test_a_device_that_takes_less_than_it_is_to_do_is_not_moved():
+    class Weak(Learns):
+        first = 2.5
+
+    driver, _, error = session({}, driver=Weak)
+    assert str(error).endswith('takes |v| up to 2.5, effort = 4 is more')
+    assert driver.told == ['opened', 'closed']
+
+
+def test_what_is_written_down_is_what_the_device_was_given():
+    class Weaker(Learns):
+        later = 2.0
+
+    driver, _, found = session({}, Limits(1.5, 1.0, 4.0), driver=Weaker)
+    assert not isinstance(found, Exception), found
+    commands = [item for item in driver.told if isinstance(item, float)]
+    assert commands == found.v.tolist()
+    assert np.abs(found.v).max() == 2.0
+
+
 def test_a_limit_that_is_passed_stops_it_and_it_goes_back():
     # A gust at t = 3 s throws it beyond the speed limit.
     driver, experiment, samples = session({'plant.kick': [3.0, 30.0, 0.05]})

@@ -184,6 +184,28 @@ def test_a_refused_activation_leaves_the_node_inactive_and_may_be_tried_again(
     assert 'not now' in node.output
 
 
+def test_a_device_that_is_stopped_by_itself_is_reset_while_inactive(processes, listener,
+                                                                    tmp_path):
+    (tmp_path / 'stopped.py').write_text(
+        'from dz_ros.drivers.simulated import SimulatedActuator\n'
+        'from dz_ros.errors import DriverError\n\n\n'
+        'class Stopped(SimulatedActuator):\n    name, latched = "stopped", True\n\n'
+        '    def trouble(self):\n        return "e-stop" if self.latched else ""\n\n'
+        '    def enable(self):\n        if self.latched:\n            raise DriverError("e-stop")\n\n'
+        '    def recover(self):\n        self.latched = False\n', encoding='utf-8')
+    node = processes(*NODE, 'actuator_node', '--ros-args', '-p', 'driver.name:=stopped:Stopped',
+                     '-p', 'autostart:=false', '-p', "loop.peers:=['plant_node']",
+                     PYTHONPATH=os.pathsep.join([str(ROOT), str(tmp_path),
+                                                 os.environ.get('PYTHONPATH', '')]))
+    assert listener.call('actuator_node/reset').message == 'nothing is latched'
+    assert listener.change(1)
+    assert not listener.change(3)
+    answer = listener.call('actuator_node/reset')
+    assert answer.success, answer.message
+    assert listener.change(3)
+    assert node.interrupt() == 0
+
+
 def test_saturation_is_counted_and_warned_of(run, listener):
     run(driver__limit=0.05)
     listener.wait(lambda: '/actuator_node' in listener.said and int(

@@ -187,3 +187,26 @@ def test_in_lockstep_a_node_that_is_gone_ends_the_run_with_its_name(processes):
 def rclpy_dimension(label, size):
     from std_msgs.msg import MultiArrayDimension
     return MultiArrayDimension(label=label, size=size, stride=size)
+
+
+def test_a_recorder_the_loop_waits_for_listens_after_those_in_a_hurry(
+        processes, listener, tmp_path):
+    from std_msgs.msg import Float64MultiArray
+    peers = "['controller_node', 'trajectory_node', 'recorder_node']"
+    processes(*NODE, 'recorder_node', *ARGUMENTS, '-p', f'directory:={tmp_path / "run"}', '-p',
+              f'loop.peers:={peers}')
+
+    def heard_by(topic):
+        return {info.node_name for info in
+                listener.node.get_subscriptions_info_by_topic(f'/{topic}')}
+
+    listener.wait(lambda: 'recorder_node' in heard_by('terms'))     # nobody else hears those
+    assert 'recorder_node' not in heard_by('state')
+    others = [rclpy.create_node(name, context=listener.context)
+              for name in ('controller_node', 'trajectory_node')]
+    for node in others:
+        assert 'recorder_node' not in heard_by('state')
+        node.create_subscription(Float64MultiArray, 'state', print, 1)
+    listener.wait(lambda: 'recorder_node' in heard_by('state'))
+    for node in others:
+        node.destroy_node()

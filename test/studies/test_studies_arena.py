@@ -1,7 +1,9 @@
 """The comparison: its scenarios, its cells, its tables and page; the same numbers on any cores."""
 
 import csv
+import importlib
 import io
+from pathlib import Path
 import re
 
 import numpy as np
@@ -13,10 +15,17 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws import LAWS
 from dz_ros.core.loop import simulate
 from dz_ros.errors import UnknownNameError
-from dz_ros.studies.arena import Arena, Cell, Plan, run_arena
-from dz_ros.studies.arena_page import compose, format_text, recovery, verdicts, write_arena
+from dz_ros.studies.arena import Arena, Cell, divide, Plan, run_arena
+from dz_ros.studies.arena_page import (
+    compose,
+    conditions,
+    format_text,
+    recovery,
+    verdicts,
+    write_arena,
+)
 from dz_ros.studies.outcome import COLUMNS, row_of, run_row
-from dz_ros.studies.scenarios import base_configuration, entrants, scenarios, yardstick
+from dz_ros.studies.scenarios import base_configuration, entrants, IDEAL, scenarios, yardstick
 
 DURATION = 6.0
 
@@ -42,6 +51,41 @@ def test_every_run_can_be_configured(entrant, scenario):
     for member in scenario.members:
         c = Configuration.from_flat({**base_configuration(), **entrant.changes, **member})
         assert set(c.set_aside) <= {*base_configuration(), 'controller.v_max'}
+
+
+def test_only_robust_makes_use_of_the_limit_it_is_told():
+    told, = scenarios()['saturation'].members
+    silent = {key: value for key, value in told.items() if key != 'controller.v_max'}
+    for entrant in entrants().values():
+        with_it, without = (Configuration.from_flat(
+            {**base_configuration(), **entrant.changes, **item}).law.constants
+            for item in (told, silent))
+        assert (with_it != without) == (entrant.name == 'robust'), entrant.name
+
+
+def test_the_ideal_is_told_the_example_s_break_points_and_keeps_them():
+    for name, changes in ((item.name, item.changes) for item in entrants().values()):
+        if name.startswith(IDEAL):
+            for member in scenarios()['drift'].members:
+                law = Configuration.from_flat({**base_configuration(), **changes, **member}).law
+                example = Configuration.from_flat({}).dead_zone
+                assert (law.gains.b_r, law.gains.b_l) == (example.b_r, example.b_l)
+
+
+def test_neither_ours_nor_the_ideal_is_the_best_rival(monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[2])
+    best_rival = importlib.import_module('benchmarks.arena').best_rival
+    row = {**dict.fromkeys(COLUMNS), 'lost': 0}
+    errors = {'robust': 0.1, 'exact_inverse k=2.5': 0.2, 'neural': 0.3, 'pd': 0.4}
+    found = Arena(Plan.of(['pd', 'neural', 'exact_inverse', 'robust'], ['noise']), {
+        (name, 'noise'): Cell(({**row, 'error_max': errors.get(name, 0.9)},))
+        for name in ('pd', 'neural', 'robust', *(f'exact_inverse k={k}' for k in (0, 1.47, 2.5)))})
+    assert found.ranking('noise')[:3] == ['robust', 'exact_inverse k=2.5', 'neural']
+    assert best_rival(found, 'noise') == 'neural'
+
+
+def test_what_the_page_says_of_its_window(arena):
+    assert 'peak |v| over the whole run' in conditions(arena)
 
 
 def test_kicks_lie_in_the_window_and_go_both_ways():
@@ -147,6 +191,29 @@ def test_progress_counts_runs(monkeypatch):
               progress=lambda *words: seen.append(words))
     assert [words[:2] for words in seen] == [(1, 2), (2, 2)]
     assert {words[2] for words in seen} == {'pd', 'pid'}
+
+
+@pytest.mark.parametrize('jobs', [1, 2, 7, 64])
+@pytest.mark.parametrize('laws', [['robust'], ['pd', 'robust', 'pid'], None])
+def test_every_process_has_work_and_every_run_is_done_once(jobs, laws):
+    plan = Plan.of(laws, None, DURATION, 3)
+    pieces = divide(plan, jobs)
+    runs = plan.runs // len(plan.entrants)
+    assert sorted((name, run) for name, begin, end in pieces for run in range(begin, end)) == [
+        (name, run) for name in sorted(plan.entrants) for run in range(runs)]
+    assert len(pieces) >= min(plan.runs, 3 * jobs)
+    assert all(begin < end for _, begin, end in pieces)
+
+
+def test_one_law_is_divided_among_processes_and_shows_how_far_it_is():
+    seen = []
+    found = run_arena(Plan.of(['pd'], ['nominal', 'noise', 'kick'], 2.0, 3), jobs=2,
+                      progress=lambda *words: seen.append(words))
+    assert len(seen) >= 6
+    assert [words[0] for words in seen] == sorted({words[0] for words in seen})
+    assert seen[-1][:2] == (12, 12)
+    alone = run_arena(found.plan, jobs=1)
+    assert alone.csv() == found.csv()
 
 
 def test_nonsense_is_one_line(capsys):

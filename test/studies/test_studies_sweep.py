@@ -1,10 +1,12 @@
 """Sweeps: their points, their file that survives being cut, their maps, their cluster."""
 
 import csv
+from itertools import islice
 import os
 import signal
 import subprocess
 import sys
+import tracemalloc
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +16,7 @@ import pytest
 from dz_ros.cli.main import main
 from dz_ros.core.configuration import Configuration
 from dz_ros.errors import ConfigurationError, DzRosError, MissingDependencyError, RunExistsError
-from dz_ros.studies import pool
+from dz_ros.studies import pool, sweep_plan
 from dz_ros.studies import sweep as module
 from dz_ros.studies.outcome import row_of
 from dz_ros.studies.sweep import read_sweep, run_sweep
@@ -37,7 +39,7 @@ def plan_of(*axes, **settings):
 
 def test_a_grid_is_every_combination():
     points = plan_of('controller.epsilon=0.01:0.03:3', 'loop.delay=0,1').points()
-    assert points == [{'controller.epsilon': epsilon, 'loop.delay': delay}
+    assert list(points) == [{'controller.epsilon': epsilon, 'loop.delay': delay}
                       for epsilon in np.linspace(0.01, 0.03, 3).tolist() for delay in (0, 1)]
 
 
@@ -57,7 +59,7 @@ def test_every_sample_lies_on_its_axis(low, ratio, log, share):
 @pytest.mark.parametrize('sampler', ['random', 'sobol'])
 def test_samples_follow_the_seed(sampler):
     axes = ('plant.b=0.5:2:2', 'controller.law=wang2004,robust')
-    first, again, other = (plan_of(*axes, sampler=sampler, samples=37, seed=seed).points()
+    first, again, other = (list(plan_of(*axes, sampler=sampler, samples=37, seed=seed).points())
                            for seed in (1, 1, 2))
     assert first == again
     assert first != other
@@ -73,9 +75,32 @@ def test_sobol_fills_the_line_more_evenly_than_chance():
     assert gap('sobol') < 2.0 / 64 < gap('random')
 
 
+@pytest.mark.parametrize('sampler', ['random', 'sobol'])
+def test_points_drawn_in_blocks_are_those_drawn_in_one_piece(sampler, monkeypatch):
+    plan = plan_of('plant.b=0:1:2', 'plant.a1=0:1:2', sampler=sampler, samples=700, seed=5)
+    monkeypatch.setattr(sweep_plan, 'BLOCK', 64)
+    drawn = np.array([list(point.values()) for point in plan.points()])
+    if sampler == 'random':
+        whole = np.random.default_rng(5).random((700, 2))
+    else:
+        whole = pytest.importorskip('scipy.stats').qmc.Sobol(2, seed=5).random(1024)[:700]
+    assert np.array_equal(drawn, whole)
+
+
+def test_points_are_made_as_they_are_asked_for():
+    plan = plan_of('plant.b=1:2:3162', 'plant.a1=1:2:3162')
+    tracemalloc.start()
+    try:
+        for _ in islice(plan.points(), 20000):
+            pass
+        assert tracemalloc.get_traced_memory()[1] < 2e6
+    finally:
+        tracemalloc.stop()
+
+
 def test_one_number_of_an_array():
     plan = plan_of('plant.noise[1]=0,0.01', 'plant.dead_zone.b_r_drift[0]=0.1,0.2')
-    assert plan.changes(plan.points()[3]) == {'plant.noise': [0.0, 0.01],
+    assert plan.changes(list(plan.points())[3]) == {'plant.noise': [0.0, 0.01],
                                               'plant.dead_zone.b_r_drift': [0.2, 0.0]}
 
 
@@ -115,6 +140,45 @@ def test_failed_runs_are_kept_with_their_reason(tmp_path):
     assert [row['lost'] for row in rows] == [0, 1, 1]
     assert rows[1]['reason'].startswith('refused: controller.lambda')
     assert rows[2]['reason'].startswith(('diverged', 'does not follow'))
+
+
+BRITTLE = """
+from dz_ros.core.plants.wang2004 import Wang2004
+
+
+class Brittle(Wang2004):
+    name = 'brittle'
+
+    def __init__(self, parameters=None):
+        super().__init__(parameters)
+        if self.parameters.b > 3.0:
+            raise KeyError('b')
+
+    @staticmethod
+    def regressors(x, p, y):
+        if p[1] > 1.5:
+            raise TypeError('no such\\n' + 'thing, ' * 200)
+        y[0] = y[1] = 0.0
+"""
+"""A plant of a user's own, with mistakes in it."""
+
+
+@pytest.mark.parametrize('jobs', [1, 2])
+def test_what_a_plant_of_one_s_own_raises_costs_its_run_only(tmp_path, monkeypatch, jobs):
+    (tmp_path / 'brittle.py').write_text(BRITTLE)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(module, 'CHUNK', 1)
+    base = {**BASE, 'plant.model': 'brittle:Brittle'}
+    plan = SweepPlan(base, parse_axes(['plant.a1=1,2', 'plant.b=1,4']))
+    assert run_sweep(plan, tmp_path / 's.csv', jobs) == 3
+    rows = read_sweep(tmp_path / 's.csv')
+    assert [row['lost'] for row in rows] == [0, 1, 1, 1]
+    assert [(row['reason'] or '')[:18] for row in rows] == [
+        '', 'failed: KeyError: ', 'failed: TypeError:', 'failed: KeyError: ']
+    assert rows[0]['error_max'] > 0.0
+    if jobs == 1:       # not compiled: the message is the plant's own
+        assert rows[2]['reason'].startswith('failed: TypeError: no such thing, thing,')
+    assert len(rows[2]['reason']) < 320
 
 
 @pytest.mark.parametrize('kept', [0.0, 0.02, 0.4, 0.63, 0.99, 1.0])
@@ -215,6 +279,63 @@ def test_without_dask_the_cluster_is_refused(monkeypatch):
         list(pool.execute([(abs, (-1,))], cluster='tcp://127.0.0.1:1'))
 
 
+class Counted:
+    """Tasks without end in sight, and how many of them are begun and not handed on."""
+
+    def __init__(self, count, function=abs):
+        self.taken = self.handed = self.most = 0
+        self._count, self._function = count, function
+
+    def __iter__(self):
+        for place in range(self._count):
+            self.taken += 1
+            self.most = max(self.most, self.taken - self.handed)
+            yield self._function, (-place,)
+
+    def collect(self, **how):
+        found = []
+        for result in pool.execute(self, **how):
+            self.handed += 1
+            found.append(result)
+        return found
+
+
+@pytest.mark.parametrize('jobs', [1, 2])
+def test_few_tasks_are_in_flight_and_every_result_comes_once(jobs):
+    tasks = Counted(200)
+    assert sorted(tasks.collect(jobs=jobs)) == [(place, place) for place in range(200)]
+    assert tasks.most <= pool.AHEAD * jobs
+
+
+def test_results_are_forgotten_when_they_are_handed_on():
+    tasks = ((bytes, (1_000_000,)) for _ in range(60))
+    tracemalloc.start()
+    try:
+        assert sum(len(result) for _, result in pool.execute(tasks, 2)) == 60_000_000
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_what_was_begun_last_is_not_begun_first():
+    # One job: strictly in order; the first results come before the last tasks are made.
+    seen = []
+    for place, _ in pool.execute(((seen.append, (item,)) for item in range(9)), 1):
+        assert seen == list(range(place + 1))
+
+
+def test_a_finished_sweep_is_put_in_order_whatever_the_order_of_its_rows(tmp_path):
+    plan, out = plan_of('controller.epsilon=0.01:0.05:5'), tmp_path / 's.csv'
+    run_sweep(plan, out, 1)
+    content = out.read_bytes()
+    head, rows = content.splitlines(True)[:2], content.splitlines(True)[2:]
+    out.write_bytes(b''.join([*head, *(rows[place] for place in (3, 0, 4))]))
+    seen = []
+    run_sweep(plan, out, 1, resume=seen.append)
+    assert seen == [3]
+    assert out.read_bytes() == content
+
+
 def test_results_carry_their_place():
     assert sorted(pool.execute([(abs, (-place,)) for place in range(5)], 1)) == [
         (place, place) for place in range(5)]
@@ -253,6 +374,12 @@ def test_a_killed_worker_loses_no_result(cluster, tmp_path, monkeypatch):
     assert workers[0].wait() == -signal.SIGKILL
     run_sweep(plan, tmp_path / 'here.csv', 1)
     assert (tmp_path / 'cluster.csv').read_bytes() == (tmp_path / 'here.csv').read_bytes()
+
+
+def test_few_tasks_are_in_flight_on_a_cluster(cluster):
+    tasks = Counted(60)
+    assert sorted(tasks.collect(cluster=cluster[0])) == [(place, place) for place in range(60)]
+    assert tasks.most <= pool.AHEAD * 2
 
 
 def test_no_scheduler_is_one_line():

@@ -144,12 +144,15 @@ class Serial(Driver):
         self._info = info
 
     def enable(self) -> None:
-        """Have power on, at the safe command.
+        """Have power on, at the safe command; a fault from before that has gone is reset.
 
         Raises:
-            DriverError: The device refuses, or is in trouble.
+            DriverError: The device refuses, is in trouble, its fault lasts, or its e-stop is
+                pressed: that one only `recover` lifts.
         """
         self._link.mend()
+        if self._mode() is Mode.FAULT:
+            self._ask(Request.RESET, (Mode.DISABLED, Mode.SAFE), 'leave its fault')
         if self.trouble():
             raise DriverError(f'{self.parameters.port}: {self.trouble()}')
         self._ask(Request.SAFE, (Mode.SAFE, Mode.RUN), 'take power')
@@ -197,20 +200,20 @@ class Serial(Driver):
         if found is not None and found[0].mode is Mode.FAULT:
             return f'the device reports fault {found[0].fault}'
         if found is not None and found[0].mode is Mode.ESTOP:
-            return 'the e-stop of the device is pressed'
+            return 'the e-stop of the device is latched: release it, then reset'
         return ''
 
     def recover(self) -> None:
-        """Take the device as it is now, clear its fault, give it power.
+        """Take the device as it is now, clear its fault or e-stop, give it power if it had it.
 
         Raises:
             DriverError: It is not there, or its fault lasts.
         """
         self._link.mend()
+        if self._mode() in (Mode.FAULT, Mode.ESTOP):
+            self._ask(Request.RESET, (Mode.DISABLED, Mode.SAFE), 'leave its fault')
         if not self._powered:
             return
-        if self.trouble():
-            self._ask(Request.RESET, (Mode.DISABLED, Mode.SAFE), 'leave its fault')
         self._ask(Request.SAFE, (Mode.SAFE, Mode.RUN), 'take power')
 
     def in_force(self) -> float | None:
@@ -238,7 +241,12 @@ class Serial(Driver):
         if self.trouble():
             report.say(Level.ERROR, self.trouble())
 
-    # What it says to the device.
+    # What it says to the device, and hears of it.
+
+    def _mode(self) -> Mode | None:
+        """Return the device's newest mode; None where nothing is known."""
+        found = self._link.newest()
+        return None if found is None else found[0].mode
 
     def _wish(self, request: Request, v: float, safe: float) -> Wish:
         return Wish(request, self._counts(v), self._counts(safe), self._hold_ms)
