@@ -1,11 +1,14 @@
 """The design rules at the start of the controller: what they say is logged, errors refuse.
 
+A line a finding, the assumptions that are met on one; `dz check` has words and numbers of each.
 Every rule of `dz check` applies. Of λ one run is simulated, with the λ configured, in about 0.1 s;
 how far it is from the limit takes `dz check`. Gains set while the loop runs are judged by the
 rules that need no simulation: the initial state is behind it then, and the loop must not wait.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 from rclpy.node import Node
 
@@ -17,7 +20,7 @@ from dz_ros.errors import ConfigurationError
 
 
 def refuse_bad_design(node: Node, configuration: Configuration, starting: bool = True) -> None:
-    """Log what the design rules say, a line a finding; refuse what they call an error.
+    """Log what the design rules say; refuse what they call an error.
 
     Args:
         node: Logs the findings.
@@ -37,11 +40,28 @@ def refuse_bad_design(node: Node, configuration: Configuration, starting: bool =
                 'controller.law', configuration.law.name,
                 f'design rule {finding.rule}: {finding.words}; {finding.change}; or start it all '
                 'the same with controller.override_checks: true')
+    if starting:
+        node.get_logger().info(f'design rules, assumptions: {_assumptions(findings)}')
     for finding in findings:
         if finding.level != INFO:
             node.get_logger().warning(_line(finding))
-        elif starting:
+        elif starting and not _verdict(finding):
             node.get_logger().info(_line(finding))
+
+
+def _verdict(finding: Finding) -> str:
+    """Return the word for an assumption that is met; empty = the finding is something else."""
+    word = finding.words.partition(':')[0]
+    return word if finding.level == INFO and word in ('holds', 'stated') else ''
+
+
+def _assumptions(findings: Iterable[Finding]) -> str:
+    """Return the names of the assumptions that are met, on one line."""
+    names: dict[str, list[str]] = {}
+    for finding in findings:
+        if word := _verdict(finding):
+            names.setdefault(word, []).append(finding.rule)
+    return '; '.join(f'{word}: {", ".join(rules)}' for word, rules in names.items())
 
 
 def _line(finding: Finding) -> str:

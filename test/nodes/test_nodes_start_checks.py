@@ -40,12 +40,24 @@ def test_a_sound_design_has_nothing_to_warn_of():
 def test_what_the_design_promises_is_told_in_a_line_a_finding():
     node = Listener()
     refuse_bad_design(node, Configuration.from_flat({'plant.noise': [1e-3, 1e-2]}))
-    assert len(node.told) == len(set(node.told)) <= 16
+    assert len(node.told) == len(set(node.told)) <= 9
     assert not any('\n' in line for line in node.told)
-    for part in ('(A2): holds', 'Ω: where', '|x̃2| <= 0.04 1/s', 'chatter: delay 1', 'ε 0.0168',
+    for part in ('assumptions: holds: (A1), (A2), (A3), (A4), input gain, reference; stated: '
+                 'state, structure', 'Ω: where', '|x̃2| <= 0.04 1/s', 'chatter: delay 1',
+                 'ε 0.0168',
                  'λ: λ = 1; from this initial state the sampled loop finds its reference',
                  'not covered: the theorem', 'measurement noise'):
         assert sum(part in line for line in node.told) == 1, part
+
+
+def test_an_assumption_that_is_not_met_has_its_own_line():
+    node = Listener()
+    refuse_bad_design(node, Configuration.from_flat({'plant.dead_zone.b_r': 0.7}))
+    assert '(A4)' not in node.told[0]
+    assert [line for line in node.lines if 'design rule (A4): violated' in line] == node.lines
+    device = Listener()
+    refuse_bad_design(device, load_configuration('serial'))
+    assert 'stated: (A2), (A3), (A4), state, structure, input gain' in device.told[0]
 
 
 def test_a_slope_with_which_the_loop_is_lost_refuses():
