@@ -14,7 +14,11 @@ PATIENCE = 0.05
 ALIVE = 1.0
 """A topic that has been silent for so long is not waited for [s]."""
 MOST = 5000
-"""More rows than this never wait."""
+"""More rows than this never wait; a seq further ahead than this must be confirmed by another."""
+
+
+LARGEST = 2.0 ** 53
+"""A seq beyond this is none: a double cannot count there."""
 
 
 @dataclass
@@ -46,6 +50,7 @@ class Joiner:
         self._rows: dict[int, _Row] = {}
         self._queue: deque[int] = deque()
         self._emitted = -1
+        self._odd = -1
         self._heard: dict[str, float] = {}
         self._echo = {topic: labels.index('echo_seq') for topic, labels in layout.labels.items()
                       if topic in ('command', 'terms') and 'echo_seq' in labels}
@@ -61,12 +66,12 @@ class Joiner:
         """
         self._heard[topic] = now
         key = numbers[self._echo.get(topic, 0)]
-        if not math.isfinite(key):
+        if not 0.0 <= key < LARGEST or key != int(key):     # NaN is not either
             return
         seq = int(key)
-        if topic == 'state':
-            self._state(seq, numbers, published, now)
-        if seq <= self._emitted or seq < 0:
+        if topic == 'state' and not self._state(seq, numbers, published, now):
+            return
+        if seq <= self._emitted:
             return
         row = self._rows.get(seq)
         if row is None:
@@ -83,24 +88,37 @@ class Joiner:
             place += 1
         row.have.add(topic)
 
-    def _state(self, seq: int, numbers: Sequence[float], published: float, now: float) -> None:
-        """Note a state; the first one of a seq opens its row."""
+    def _state(self, seq: int, numbers: Sequence[float], published: float, now: float) -> bool:
+        """Note a state, the first one of a seq opens its row; return whether it is believed."""
         stamp = numbers[1]
-        if seq < self.newest and stamp < self.stamp:
+        if not math.isfinite(stamp):
+            return False
+        if seq < self.newest and (stamp < self.stamp or self._confirms(seq)):
             self.restarted = True
-            return
+            return False
+        if self.newest >= 0 and seq > self.newest + MOST and not self._confirms(seq):
+            return False
         if seq > self.newest:
             if self.newest >= 0:
                 self.lost += seq - self.newest - 1
             self.newest, self.stamp = seq, stamp
         if seq <= self._emitted:
-            return
+            return False
         row = self._rows.get(seq)
         if row is None:
             row = self._rows[seq] = _Row([math.nan] * self.layout.base, now)
         if 'state' not in row.have:
             row.values[0:3] = [float(seq), stamp, published]
             self._queue.append(seq)
+        return True
+
+    def _confirms(self, seq: int) -> bool:
+        """Return whether a seq that does not fit follows another one that did not either.
+
+        One alone is somebody's mistake; it must not make all that come later look old.
+        """
+        before, self._odd = self._odd, seq
+        return 0 <= before < seq <= before + MOST
 
     def take(self, now: float) -> list[list[float]]:
         """Return the rows that are whole, or have waited long enough, in order of their seq."""

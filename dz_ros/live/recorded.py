@@ -17,6 +17,7 @@ from dz_ros.live.columns import Layout
 from dz_ros.live.derived import Deriver
 from dz_ros.live.describe import facts
 from dz_ros.live.history import ANSWER, History, pack
+from dz_ros.live.requests import finite
 from dz_ros.live.source import Source
 from dz_ros.live.stated import brief, Stated
 
@@ -127,10 +128,10 @@ class Recorded(Source):
             raise ConfigurationError('run', run, f'must be 0 to {len(self._tables) - 1}')
         limits = []
         for name, default in (('from', -np.inf), ('to', np.inf)):
-            value = request.get(name, default)
-            if isinstance(value, bool) or not isinstance(value, (int, float)):
-                raise ConfigurationError(name, value, 'must be an instant in s')
-            limits.append(float(value))
+            value = finite(request[name]) if name in request else default
+            if value is None:
+                raise ConfigurationError(name, request[name], 'must be an instant in s')
+            limits.append(value)
         table = self._tables[run]
         first, last = np.searchsorted(table[:, 1], limits)
         rows = self._thin(table[max(first - 1, 0):last + 1])

@@ -2,23 +2,24 @@
 
 A viewer's first text is ``{"hello": 1, "token": …, "seconds": …}``; it gets a text of kind
 ``hello``, then rows as frames (`dz_ros.live.history`) and texts of kinds ``status``, ``event`` and
-``result``. What it asks has an ``id`` and a ``do``. Whatever is not that ends its connection, and
-its alone.
+``result``. What it asks has an ``id`` and a ``do`` (`dz_ros.live.answers`). Whatever is not that
+ends its connection, and its alone.
 """
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-import json
 import time
 from typing import Any
 
-from dz_ros.errors import DzRosError, LoopError, MissingDependencyError
+from dz_ros.errors import LoopError, MissingDependencyError
 from dz_ros.live.access import Access
+from dz_ros.live.answers import Answers
 from dz_ros.live.assets import ASSETS, read_assets
+from dz_ros.live.clock import clock
 from dz_ros.live.connections import Connections
-from dz_ros.live.requests import HEADERS, parse, POLICY, ProtocolError, result
+from dz_ros.live.requests import finite, HEADERS, parse, POLICY, ProtocolError, text_of
 from dz_ros.live.source import Source
 from dz_ros.live.viewer import Viewer
 
@@ -26,12 +27,12 @@ NO_AIOHTTP = "the page needs aiohttp: pip install 'dz_ros[live]'"
 PORTS = range(8420, 8440)
 """Ports tried where none is given."""
 MOST_VIEWERS = 16
+KEPT = 4
+"""Places that only those with the token get."""
 MESSAGE = 16384
 """Largest text a viewer may send [bytes]."""
 FIRST_WORD = 5.0
 """A viewer must have said hello by then [s]."""
-ACTIONS = frozenset(('reset', 'activate', 'deactivate', 'set', 'kick'))
-QUESTIONS = frozenset(('rows', 'histogram'))
 
 
 class Server:
@@ -60,7 +61,7 @@ class Server:
         self._runner: Any = None
         self._connections: Connections | None = None
         self._listener: asyncio.AbstractServer | None = None
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._answers = Answers(source, access, self._kinds)
 
     async def start(self, port: int = 0) -> str:
         """Listen; return the address to open.
@@ -109,8 +110,7 @@ class Server:
             self._listener.close()
         for viewer in list(self.viewers):
             viewer.drop()
-        for task in list(self._tasks):
-            task.cancel()
+        self._answers.close()
         if self._runner is not None:
             await self._runner.cleanup()
 
@@ -126,7 +126,7 @@ class Server:
     def say(self, message: dict[str, Any]) -> None:
         """Send a text to every viewer."""
         if self.viewers:
-            text = json.dumps(message, ensure_ascii=False, allow_nan=False)
+            text = text_of(message)
             for viewer in list(self.viewers):
                 viewer.say(text)
 
@@ -176,18 +176,19 @@ class Server:
         code, reason = 1008, 'hello expected'
         sender: asyncio.Task[None] | None = None
         try:
-            token, seconds = await self._first_word(answer)
+            # One deadline: a receive with a time-out would begin anew with each ping.
+            token, seconds = await asyncio.wait_for(self._first_word(answer), FIRST_WORD)
             if not self._access.may_look(token):
                 code, reason = 4401, 'the token is missing or wrong'
                 return answer
-            if len(self.viewers) >= MOST_VIEWERS:
-                code, reason = 1013, f'{MOST_VIEWERS} viewers are here already'
+            if not self._room(token):
+                code, reason = 1013, 'the other places are for those with the token'
                 return answer
             self._introduce(viewer, token, seconds)
             self.viewers.add(viewer)
             sender = asyncio.create_task(self._feed(viewer))
             async for message in answer:
-                self._hear(viewer, message)
+                self._answers.hear(viewer, message)
             code, reason = 1000, ''
         except ProtocolError as error:
             reason = str(error)
@@ -195,20 +196,27 @@ class Server:
             pass
         finally:
             self.viewers.discard(viewer)
+            viewer.leave()
             if sender is not None:
                 sender.cancel()
             if not answer.closed:
                 await answer.close(code=code, message=reason.encode()[:120])
         return answer
 
+    def _room(self, token: str) -> bool:
+        """Return whether there is a place for whoever shows this."""
+        if self._access.knows(token):
+            return len(self.viewers) < MOST_VIEWERS
+        others = sum(not self._access.knows(viewer.token) for viewer in self.viewers)
+        return others < MOST_VIEWERS - KEPT and len(self.viewers) < MOST_VIEWERS
+
     async def _first_word(self, answer: Any) -> tuple[str, float]:
         """Return token and seconds of history wanted."""
-        first = parse(await answer.receive(FIRST_WORD), self._kinds)
-        seconds = first.get('seconds', 0)
-        if 'hello' not in first or not isinstance(seconds, (int, float)) or not (
-                0 <= seconds < 1e6):
+        first = parse(await answer.receive(), self._kinds)
+        seconds = finite(first.get('seconds', 0))
+        if 'hello' not in first or seconds is None or not 0 <= seconds < 1e6:
             raise ProtocolError('hello expected')
-        return str(first.get('token', '')), float(seconds)
+        return str(first.get('token', '')), seconds
 
     def _introduce(self, viewer: Viewer, token: str, seconds: float) -> None:
         """Tell a viewer what it sees, and give it the rows from so many seconds ago on."""
@@ -217,7 +225,7 @@ class Server:
         why_not = self._access.why_not(token)
         viewer.token, viewer.seconds, viewer.may_act = token, seconds, not why_not
         viewer.say({'kind': 'hello', **hello, 'generation': history.generation,
-                    'may_act': not why_not, 'why_not': why_not, 'time': time.time()})
+                    'may_act': not why_not, 'why_not': why_not, 'time': clock()})
         for message in self._source.now():
             viewer.say(message)
         viewer.generation = history.generation
@@ -232,58 +240,3 @@ class Server:
                 await viewer.send_all(self._source.history)
         except (ConnectionError, RuntimeError):
             viewer.drop()
-
-    def _hear(self, viewer: Viewer, message: Any) -> None:
-        """Take a request.
-
-        Raises:
-            ProtocolError: It is none, or one too many.
-        """
-        request = parse(message, self._kinds)
-        if not viewer.budget.spend(time.monotonic()):
-            raise ProtocolError('too many requests')
-        what, number = request.get('do'), request.get('id')
-        if not isinstance(what, str) or isinstance(number, bool) or not isinstance(number, int) \
-                or not 0 <= number < 2 ** 31:
-            raise ProtocolError('do and id expected')
-        if what == 'estop':     # at once: nothing that is being worked on holds it up
-            viewer.say(self._stop(viewer, number))
-        elif what in ACTIONS or what in QUESTIONS:
-            if viewer.busy:
-                viewer.say(result(number, False, 'another request is being worked on'))
-                return
-            viewer.busy = True
-            task = asyncio.create_task(self._work(viewer, what, number, request))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
-        else:
-            raise ProtocolError('no such request')
-
-    def _stop(self, viewer: Viewer, number: int) -> dict[str, Any]:
-        if not viewer.may_act:
-            return result(number, False, self._access.why_not(viewer.token))
-        try:
-            return {**result(number, True, ''), **self._source.estop(viewer.name)}
-        except DzRosError as error:
-            return result(number, False, str(error))
-
-    async def _work(self, viewer: Viewer, what: str, number: int,
-                    request: dict[str, Any]) -> None:
-        """Work on a request and answer it."""
-        try:
-            if what in QUESTIONS:
-                found = await self._source.ask(request)
-                if isinstance(found, bytes):
-                    viewer.give(found)
-                    return
-                answer = {**result(number, True, ''), **found}
-            elif not viewer.may_act:
-                answer = result(number, False, self._access.why_not(viewer.token))
-            else:
-                answer = {**result(number, True, ''),
-                          **await self._source.act(viewer.name, request)}
-        except DzRosError as error:
-            answer = result(number, False, str(error))
-        finally:
-            viewer.busy = False
-        viewer.say(answer)

@@ -18,6 +18,20 @@ class Source(ABC):
 
     history: History
 
+    @property
+    def stops(self) -> int:
+        """E-stops so far, whoever pressed them."""
+        return 0
+
+    def still(self, stops: int) -> None:
+        """Go on only if no e-stop has come since there had been so many.
+
+        Raises:
+            LoopError: One has.
+        """
+        if self.stops != stops:
+            raise LoopError('cancelled: an e-stop was pressed after this was asked')
+
     @abstractmethod
     def hello(self) -> dict[str, Any]:
         """Return what a page must know first: columns, units, parameters, what it may do."""
@@ -34,12 +48,18 @@ class Source(ABC):
         """
         raise LoopError(f'nothing runs here that {who} could stop')
 
-    async def act(self, who: str, request: dict[str, Any]) -> dict[str, Any]:
+    async def act(self, who: str, request: dict[str, Any], stops: int) -> dict[str, Any]:
         """Do what an operator asks; return what came of it: `ok` and `message`.
+
+        Args:
+            who: Who asks.
+            request: What.
+            stops: `stops` when it was accepted; a later e-stop cancels what is not done yet.
 
         Raises:
             DzRosError: It cannot be done, and why.
         """
+        self.still(stops)
         raise LoopError(f'nothing runs here: {request.get("do")} by {who} changes nothing')
 
     @abstractmethod

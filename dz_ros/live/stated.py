@@ -39,7 +39,7 @@ class Stated:
         listed = event.get('owns')
         if not isinstance(told, dict) or not isinstance(listed, list):
             return {}
-        owns = [item for item in listed if item in SECTIONS]
+        owns = [item for item in listed if isinstance(item, str) and item in SECTIONS]
         before, owners = dict(self._flat), dict(self.owners)
         for key, value in told.items():
             section = key.partition('.')[0]

@@ -1,20 +1,23 @@
 """One browser: what it is sent, and when it is dropped.
 
 Rows are not queued for it: a viewer remembers how far it has got and takes the rows from there on
-out of the one history. So a viewer that stops reading costs nothing but the system's buffers, and
-is dropped once a frame has not left for `STALLED` seconds.
+out of the one history; an answer in numbers is made when the one before it has left. So a viewer
+that stops reading costs little more than the system's buffers, and is dropped once nothing has
+left for `STALLED` seconds.
 """
 
 from __future__ import annotations
 
 import asyncio
 from collections import deque
-import json
 import time
 from typing import Any
 
+from dz_ros.live.clock import clock
+from dz_ros.live.requests import text_of
+
 STALLED = 5.0
-"""A frame that has not left after this long means that nobody reads [s]."""
+"""A frame of which nothing has left for this long means that nobody reads [s]."""
 TEXTS = 400
 """More texts waiting than this mean the same."""
 RATE, BURST = 20.0, 40.0
@@ -72,15 +75,18 @@ class Viewer:
         self._transport = transport
         self._waiting: deque[bytes | str] = deque()
         self._sending_since: float | None = None
+        self._unsent = 0
+        self._left = asyncio.Event()
 
     def say(self, message: dict[str, Any] | str) -> None:
         """Queue a text, given as what it means or as it is sent."""
-        self._put(message if isinstance(message, str)
-                  else json.dumps(message, ensure_ascii=False, allow_nan=False))
+        self._put(message if isinstance(message, str) else text_of(message))
 
-    def give(self, frame: bytes) -> None:
-        """Queue an answer in numbers."""
+    async def give(self, frame: bytes) -> None:
+        """Send an answer in numbers; return when it has left, so that there is one at a time."""
+        left = self._left = asyncio.Event()
         self._put(frame)
+        await left.wait()
 
     def _put(self, item: bytes | str) -> None:
         if len(self._waiting) >= TEXTS:
@@ -95,7 +101,7 @@ class Viewer:
             await self._send(self._waiting.popleft())
         while (self.cursor is not None and self.generation == history.generation
                and self.cursor < history.head and not self._waiting):
-            frame, self.cursor = history.frame(self.cursor, time.time())
+            frame, self.cursor = history.frame(self.cursor, clock())
             await self._send(frame)
             if self.cursor < history.head:
                 await asyncio.sleep(0)      # a long history lets others have their turn
@@ -108,11 +114,22 @@ class Viewer:
             await self._socket.send_str(item)
         else:
             await self._socket.send_bytes(item)
+            self._left.set()
         self._sending_since = None
 
     def stalled(self, now: float) -> bool:
-        """Return whether what is being sent does not leave."""
-        return self._sending_since is not None and now - self._sending_since > STALLED
+        """Return whether what is being sent does not leave; slowly is not at all another thing."""
+        if self._sending_since is None:
+            return False
+        unsent = self._transport.get_write_buffer_size() if self._transport is not None else 0
+        if unsent < self._unsent:
+            self._sending_since = now
+        self._unsent = unsent
+        return now - self._sending_since > STALLED
+
+    def leave(self) -> None:
+        """Let go whoever waits for something of its to be sent."""
+        self._left.set()
 
     def drop(self) -> None:
         """Cut the connection: a farewell would wait for whoever does not read."""

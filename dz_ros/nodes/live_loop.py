@@ -14,6 +14,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.errors import LoopError, MessageError
+from dz_ros.live.clock import clock
 from dz_ros.live.columns import Layout
 from dz_ros.live.derived import Deriver
 from dz_ros.live.describe import facts
@@ -236,7 +237,7 @@ class LiveLoop(Source):
         if recorder is not None and now - recorder['heard'] <= GONE:
             recording = {'level': recorder['level'], 'message': recorder['message'],
                          **recorder['values']}
-        return {'kind': 'status', 'time': time.time(), 'seq': self.seq, 'stamp': self.stamp,
+        return {'kind': 'status', 'time': clock(), 'seq': self.seq, 'stamp': self.stamp,
                 'age': round(now - self.heard, 3) if self.seq >= 0 else None,
                 'rate': self._rate(), 'lost': self._joiner.lost, 'nodes': nodes,
                 'recording': recording,
@@ -256,9 +257,14 @@ class LiveLoop(Source):
         found: dict[str, Any] = self.operator.estop(who)
         return found
 
-    async def act(self, who: str, request: dict[str, Any]) -> dict[str, Any]:
+    @property
+    def stops(self) -> int:
+        """E-stops so far, whoever pressed them."""
+        return int(self.operator.stops)
+
+    async def act(self, who: str, request: dict[str, Any], stops: int) -> dict[str, Any]:
         """Do what is asked by the loop's own services."""
-        found: dict[str, Any] = await self.operator.act(who, request)
+        found: dict[str, Any] = await self.operator.act(who, request, stops)
         return found
 
     async def ask(self, request: dict[str, Any]) -> dict[str, Any]:

@@ -2,7 +2,10 @@
 
 Nothing here reaches the loop by a way of its own: e-stop by the topic, reset, life cycle and
 parameters by the nodes' services. Each action is an event as well, so it is in the recording, with
-who asked, what came of it, and the seq of the newest state when it was asked.
+who asked, what came of it, and the seq of the newest state when that was known: of an e-stop when
+it was pressed, of anything else when the services had answered.
+
+An e-stop, from this page or elsewhere, cancels every action that was accepted before it.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from std_srvs.srv import Trigger
 
 from dz_ros.errors import ConfigurationError, LoopError
 from dz_ros.live.describe import checked, KICK
+from dz_ros.live.requests import finite
 from dz_ros.nodes.guarded import LATCHED
 
 PATIENCE = 5.0
@@ -47,12 +51,15 @@ class LiveOperator:
     Attributes:
         pressed: Whether the e-stop is pressed, here or elsewhere, as far as heard.
         calling: Whether a service is being called.
+        stops: E-stops so far, from here and elsewhere.
     """
 
     def __init__(self, node: Any, loop: Any, executor: Any) -> None:
         self.pressed = False
         self.calling = False
+        self.stops = 0
         self._mine = False
+        self._pressed_ns = 0        # since the epoch: a press not later than this is its own
         self._node = node
         self._loop = loop
         self._executor = executor
@@ -67,34 +74,37 @@ class LiveOperator:
 
     def estop(self, who: str) -> dict[str, Any]:
         """Press the e-stop."""
+        self.stops += 1
         self._estop.publish(Bool(data=True))
+        self._pressed_ns = time.time_ns()
         self._mine = self.pressed = True
         self._loop.look(time.monotonic())
         self._tell('estop', who, True, '')
         return {'message': 'e-stop pressed; both ends stay at the safe command until reset',
                 'seq': self._loop.seq}
 
-    async def act(self, who: str, request: dict[str, Any]) -> dict[str, Any]:
-        """Do anything else.
+    async def act(self, who: str, request: dict[str, Any], stops: int) -> dict[str, Any]:
+        """Do anything else, unless an e-stop has come since there had been so many.
 
         Raises:
-            DzRosError: It is refused, by whom and why.
+            DzRosError: It is refused, by whom and why, or cancelled.
         """
         what = request['do']
         details: dict[str, Any] = {}
         try:
+            self._loop.still(stops)
             if what == 'reset':
-                message = await self._reset()
+                message = await self._reset(stops)
             elif what in TRANSITIONS:
                 details = {'target': str(request.get('node') or 'all')[:100]}
-                message = await self._change(what, request.get('node'))
+                message = await self._change(what, request.get('node'), stops)
             elif what == 'kick':
                 details = {'values': self._kick(request)}
-                message = await self._set(details['values'])
+                message = await self._set(details['values'], stops)
             else:
                 values = request.get('values')
                 details = {'values': values if isinstance(values, dict) else {}}
-                message = await self._set(values)
+                message = await self._set(values, stops)
         except (ConfigurationError, LoopError) as error:
             self._tell(what, who, False, str(error), **details)
             raise
@@ -106,14 +116,16 @@ class LiveOperator:
         self._node.event('action', action=what, by=who, done=done, message=message,
                          seq=self._loop.seq, **details)
 
-    def _on_estop(self, message: Any) -> None:
+    def _on_estop(self, message: Any, info: Any) -> None:
         """Hear the e-stop; a release elsewhere releases this page's as well."""
         self.pressed = bool(message.data)
+        if self.pressed and info['source_timestamp'] > self._pressed_ns:
+            self.stops += 1
         if self._mine and not self.pressed:
             self._mine = False
             self._estop.publish(Bool(data=False))
 
-    async def _reset(self) -> str:
+    async def _reset(self, stops: int) -> str:
         """Release e-stop and faults, the actuator's end first; what refuses is asked twice."""
         self._mine = self.pressed = False
         self._estop.publish(Bool(data=False))
@@ -126,14 +138,14 @@ class LiveOperator:
         for _ in range(2):      # what the first round has reset may let the other end be reset
             refused = {}
             for name in nodes:
-                answer = await self._call(Trigger, f'{name}/reset', Trigger.Request())
+                answer = await self._call(Trigger, f'{name}/reset', Trigger.Request(), stops)
                 if not answer.success and answer.message != NOTHING:
                     refused[name] = answer.message
             if not refused:
                 return 'reset'
         raise LoopError('; '.join(f'{name}: {why}' for name, why in refused.items()))
 
-    async def _change(self, what: str, wanted: Any) -> str:
+    async def _change(self, what: str, wanted: Any, stops: int) -> str:
         """Activate or deactivate one node, or all in the order that keeps the actuator safe."""
         nodes = self._serving('change_state', 'lifecycle_msgs/srv/ChangeState')
         plant = self._loop.owners.get('loop')
@@ -150,7 +162,7 @@ class LiveOperator:
         for name in nodes:
             request = ChangeState.Request()
             request.transition.id = TRANSITIONS[what]
-            answer = await self._call(ChangeState, f'{name}/change_state', request)
+            answer = await self._call(ChangeState, f'{name}/change_state', request, stops)
             if not answer.success:
                 refused.append(name.rpartition('/')[2])
         if refused and len(refused) == len(nodes):
@@ -158,7 +170,7 @@ class LiveOperator:
         done = f'{what}d {len(nodes) - len(refused)} of {len(nodes)} nodes'
         return f'{done}; not possible for {", ".join(refused)}' if refused else done
 
-    async def _set(self, values: Any) -> str:
+    async def _set(self, values: Any, stops: int) -> str:
         """Set parameters of one section, all or none, at the node that owns it."""
         c = self._loop.configuration
         if c is None:
@@ -169,7 +181,8 @@ class LiveOperator:
             Parameter(key, _TYPES[kind], list(value) if isinstance(value, tuple) else value)
             .to_parameter_msg() for key, (kind, value) in found.items()])
         answer = await self._call(SetParametersAtomically,
-                                  f'{owner}/set_parameters_atomically', request)
+                                  f'{owner}/set_parameters_atomically', request,
+                                  stops)
         if not answer.result.successful:
             raise LoopError(answer.result.reason or f'{owner} refuses')
         return f'{owner.rpartition("/")[2]} has taken {", ".join(found)}'
@@ -184,14 +197,13 @@ class LiveOperator:
         c = self._loop.configuration
         numbers = []
         for name, largest in (('acceleration', math.inf), ('duration', LONGEST_KICK)):
-            value = request.get(name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not (
-                    math.isfinite(value)) or abs(value) > largest or (
-                    name == 'duration' and value <= 0.0):
+            value = finite(request.get(name))
+            if value is None or abs(value) > largest or (name == 'duration' and value <= 0.0):
                 allowed = 'a number' if name == 'acceleration' else (
                     f'> 0 and <= {LONGEST_KICK:g} s')
-                raise ConfigurationError(f'kick {name}', value, f'must be {allowed}')
-            numbers.append(float(value))
+                raise ConfigurationError(f'kick {name}', request.get(name),
+                                         f'must be {allowed}')
+            numbers.append(value)
         if c is None or c.loop.timing != 'realtime':
             raise LoopError('a kick needs a loop in real time')
         since = time.monotonic() - self._loop.heard
@@ -209,11 +221,11 @@ class LiveOperator:
                 found.append(node)
         return sorted(found)
 
-    async def _call(self, kind: Any, name: str, request: Any) -> Any:
+    async def _call(self, kind: Any, name: str, request: Any, stops: int) -> Any:
         """Return a service's answer, serving everything else meanwhile.
 
         Raises:
-            LoopError: It is not there, or does not answer.
+            LoopError: It is not there, does not answer, or an e-stop has come.
         """
         client = self._node.create_client(kind, name)
         until = time.monotonic() + PATIENCE
@@ -223,12 +235,15 @@ class LiveOperator:
                 if time.monotonic() > until:
                     raise LoopError(f'no {name} within {PATIENCE:g} s')
                 await asyncio.sleep(0.01)
+                self._loop.still(stops)
+            self._loop.still(stops)
             future = client.call_async(request)
             while not future.done():
                 if time.monotonic() > until:
                     raise LoopError(f'{name} does not answer within {PATIENCE:g} s')
                 self.spin()
                 await asyncio.sleep(0.004)
+            self._loop.still(stops)
             return future.result()
         finally:
             self.calling = False

@@ -143,6 +143,7 @@ def test_a_long_run_is_thinned_without_losing_a_peak(monkeypatch):
     part = ask(**{'from': 11.0, 'to': 12.0})
     inside = (table[:, 1] >= 11.0) & (table[:, 1] <= 12.0)
     assert len(part) == inside.sum() + 1
-    for wrong in ({'run': 1}, {'run': True}, {'run': 0, 'from': 'x'}, {}):
+    for wrong in ({'run': 1}, {'run': True}, {'run': 0, 'from': 'x'}, {},
+                  {'run': 0, 'to': 10 ** 400}, {'run': 0, 'from': None}, {'run': 10 ** 400}):
         with pytest.raises(ConfigurationError):
             asyncio.run(recorded.ask({'do': 'rows', 'id': 1, **wrong}))

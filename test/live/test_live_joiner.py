@@ -125,6 +125,38 @@ def test_messages_of_nonsense_change_nothing():
     assert math.isnan(column(rows, 'v')[0])
 
 
+@pytest.mark.parametrize(('seq', 'stamp'), [
+    (5e9, 0.5), (2.0, math.nan), (2.0, math.inf), (1e300, 1.0), (2.5, 0.0125), (-3.0, 0.0),
+    (2.0 ** 60, 1.0)])
+def test_one_state_of_nonsense_does_not_make_the_later_ones_look_old(seq, stamp):
+    joiner = Joiner(LAYOUT)
+    put(joiner, 'state', 0)
+    put(joiner, 'state', 1)
+    put(joiner, 'reference', 2)
+    joiner.put('state', (seq, stamp, *message('state', 0, 0.0)[2:]), 0.0, 0.0)
+    put(joiner, 'state', 2)
+    put(joiner, 'state', 3)
+    assert (joiner.newest, joiner.restarted, joiner.lost) == (3, False, 0)
+    assert joiner.stamp == pytest.approx(0.015)
+    assert column(joiner.take(1.0), 'seq') == [0.0, 1.0, 2.0, 3.0]
+
+
+def test_a_first_state_of_nonsense_is_found_out():
+    joiner = Joiner(LAYOUT)
+    joiner.put('state', (5e9, 0.0, *message('state', 0, 0.0)[2:]), 0.0, 0.0)
+    put(joiner, 'state', 10)
+    put(joiner, 'state', 11)
+    assert joiner.restarted
+
+
+def test_a_long_pause_is_believed_when_a_second_state_says_so():
+    joiner = Joiner(LAYOUT)
+    for seq in (0, 1, 100000, 100001, 100002):
+        put(joiner, 'state', seq)
+    assert (joiner.newest, joiner.restarted) == (100002, False)
+    assert column(joiner.take(1.0), 'seq') == [0.0, 1.0, 100001.0, 100002.0]
+
+
 @given(st.permutations([(topic, seq) for topic in NAMES for seq in range(6)]))
 def test_any_order_of_arrival_gives_the_same_rows(order):
     joiner = Joiner(LAYOUT)

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import math
 import socket
 
 import numpy as np
@@ -19,7 +20,10 @@ NONSENSE = ['', 'x', '[]', '1', 'null', '"estop"', '{', '{}', '{"do": "estop"}',
             '{"do": "estop", "id": true}', '{"do": "estop", "id": -1}', '{"do": 7, "id": 1}',
             '{"do": "estop", "id": 1e99}', '{"do": "exec", "id": 1}', '{"id": 1, "do": NaN}',
             '{"do": "estop", "id": 99999999999999999999}', '[' * 9000, '{"a":' * 2000,
-            '{"hello": 1}', b'\x00\x01', b'']
+            '{"hello": 1}', b'\x00\x01', b'', '{"do": "kick", "id": 1, "acceleration": 1e400}',
+            '{"do": "set", "id": 1, "values": {"x": [-1e999]}}',
+            '{"do": "set", "id": 1, "values": {"x": "\\ud800"}}',
+            '{"do": "set", "id": 1, "values": {"\\udfff": 1}}', '{"\\ud800": 1}']
 
 
 @pytest.mark.parametrize('nonsense', NONSENSE, ids=range(len(NONSENSE)))
@@ -40,6 +44,43 @@ def test_nonsense_ends_that_connection_alone(with_page, nonsense):
     with_page(test)
 
 
+PUBLISHED = [{'a': math.nan}, {'a': [1.0, [math.inf, {'b': -math.inf}]]}, {'a': '\ud800'},
+             {'\udfff': 1}, {'a': 10 ** 400}, {'a': b'x'}, {7: math.nan, 'a': {1, 2}}]
+
+
+@pytest.mark.parametrize('what', PUBLISHED, ids=range(len(PUBLISHED)))
+def test_what_comes_from_topics_ends_nobody(with_page, what):
+    async def test(page):
+        ws = await page.viewer()
+        await with_page.texts(ws, 'status')
+        page.source.now = lambda: [{'kind': 'status', **what}]
+        page.server.say({'kind': 'event', **what})
+        found = await with_page.texts(ws, 'event')
+        assert 'NaN' not in json.dumps(found)
+        later = await page.viewer()         # it is introduced with the same
+        await with_page.texts(later, 'status')
+        for viewer in (ws, later):
+            assert (await page.ask(viewer, 'estop'))['ok']
+
+    with_page(test)
+
+
+def test_what_a_viewer_sends_can_be_told_to_all(with_page):
+    async def test(page):
+        async def act(_who, request, _stops):
+            page.server.say({'kind': 'event', **request})
+            return {'message': json.dumps(request)}
+
+        page.source.act = act
+        ws, other = await page.viewer(), await page.viewer()
+        await with_page.texts(other, 'hello')
+        for value in ('é\u2028\x00', '\U0001f600', 10 ** 400, 1e308, [[]], None):
+            assert (await page.ask(ws, 'set', values={'x': value}))['ok']
+            assert (await with_page.texts(other, 'event'))['values'] == {'x': value}
+
+    with_page(test)
+
+
 @pytest.mark.parametrize('first', ['x', '{}', '{"hello": 1, "seconds": "x"}', '[1]',
                                    '{"hello": 1, "seconds": 1e400}',
                                    '{"hello": 1, "seconds": -1}'])
@@ -49,6 +90,40 @@ def test_who_does_not_say_hello_is_shown_out(with_page, first):
         await ws.send_str(first)
         assert await with_page.ended(ws) == 1008
         assert not page.server.viewers
+
+    with_page(test)
+
+
+def test_pings_do_not_put_off_the_first_word(with_page, monkeypatch):
+    monkeypatch.setattr(server_module, 'FIRST_WORD', 0.5)
+
+    async def test(page):
+        ws = await page.viewer(hello=False)
+        ending = asyncio.create_task(with_page.ended(ws))
+        for _ in range(400):
+            if ending.done():
+                break
+            with contextlib.suppress(ConnectionError):
+                await ws.ping()
+            await asyncio.sleep(0.05)
+        assert ending.done()
+        assert await ending == 1008
+
+    with_page(test)
+
+
+def test_one_answer_in_numbers_at_a_time_waits_to_be_sent(with_page):
+    async def test(page):
+        page.source.answer = bytes(8 << 20)
+        raw = await _deaf(page)
+        for number in range(30):
+            await _send(raw, {'do': 'rows', 'id': number})
+        (viewer,) = page.server.viewers
+        for _ in range(50):
+            await asyncio.sleep(0.01)
+        held = sum(map(len, viewer._waiting)) + viewer._transport.get_write_buffer_size()
+        assert held < 1.5 * len(page.source.answer)
+        raw.close()
 
     with_page(test)
 
@@ -94,6 +169,20 @@ def test_there_is_an_end_to_viewers(with_page, monkeypatch):
     with_page(test)
 
 
+def test_those_without_the_token_do_not_take_every_place(with_page, monkeypatch):
+    monkeypatch.setattr(server_module, 'MOST_VIEWERS', 3)
+    monkeypatch.setattr(server_module, 'KEPT', 1)
+
+    async def test(page):
+        kept = [await page.viewer(token='wrong') for _ in range(2)]
+        for ws in kept:
+            await with_page.texts(ws, 'hello')
+        assert await with_page.ended(await page.viewer(token='wrong')) == 1013
+        assert (await with_page.texts(await page.viewer(), 'hello'))['may_act']
+
+    with_page(test)
+
+
 def test_there_is_an_end_to_connections_and_to_silence(with_page, monkeypatch):
     monkeypatch.setattr(connections_module, 'MOST', 3)
     monkeypatch.setattr(connections_module, 'SILENT', 0.3)
@@ -117,6 +206,34 @@ def test_there_is_an_end_to_connections_and_to_silence(with_page, monkeypatch):
     with_page(test)
 
 
+async def _deaf(page):
+    """Return the socket of a viewer that never reads after its hello."""
+    raw = socket.socket()
+    raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    raw.connect(('127.0.0.1', page.port))
+    raw.setblocking(False)
+    loop = asyncio.get_running_loop()
+    host = f'127.0.0.1:{page.port}'
+    await loop.sock_sendall(raw, (
+        f'GET /ws HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nUpgrade: websocket\r\n'
+        'Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n'
+        'Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n').encode())
+    assert b'101' in await loop.sock_recv(raw, 300)
+    there = len(page.server.viewers)
+    await _send(raw, {'hello': 1, 'seconds': 0})
+    while len(page.server.viewers) == there:
+        await asyncio.sleep(0.01)
+    return raw
+
+
+async def _send(raw, request):
+    """Send a text, masked with nothing."""
+    text = json.dumps(request).encode()
+    assert len(text) < 126
+    await asyncio.get_running_loop().sock_sendall(
+        raw, bytes([0x81, 0x80 | len(text), 0, 0, 0, 0]) + text)
+
+
 def test_a_viewer_that_stops_reading_is_dropped_and_nothing_waits_for_it(with_page, monkeypatch):
     monkeypatch.setattr(viewer_module, 'STALLED', 0.5)
 
@@ -124,22 +241,7 @@ def test_a_viewer_that_stops_reading_is_dropped_and_nothing_waits_for_it(with_pa
         page.source.history = type(page.source.history)(400, 20000)
         good = await page.viewer()
         await with_page.texts(good, 'hello')
-        # A socket of our own with a small buffer that nobody empties.
-        raw = socket.socket()
-        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        raw.connect(('127.0.0.1', page.port))
-        raw.setblocking(False)
-        loop = asyncio.get_running_loop()
-        host = f'127.0.0.1:{page.port}'
-        await loop.sock_sendall(raw, (
-            f'GET /ws HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nUpgrade: websocket\r\n'
-            'Connection: Upgrade\r\nSec-WebSocket-Version: 13\r\n'
-            'Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n\r\n').encode())
-        assert b'101' in await loop.sock_recv(raw, 300)
-        text = b'{"hello":1,"seconds":0}'
-        await loop.sock_sendall(raw, bytes([0x81, 0x80 | len(text), 0, 0, 0, 0]) + text)
-        while len(page.server.viewers) < 2:
-            await asyncio.sleep(0.01)
+        raw = await _deaf(page)
 
         async def read():
             async for _ in good:

@@ -1,5 +1,6 @@
 """The page's server: what a viewer gets, who may look, who may act."""
 
+import asyncio
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ import pytest
 from dz_ros.errors import ConfigurationError, LoopError
 from dz_ros.live.access import Access
 from dz_ros.live.assets import ASSETS
+from dz_ros.live.clock import clock
 from dz_ros.live.history import HEAD, LIVE
 
 aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed: no page to serve')
@@ -54,15 +56,48 @@ def test_actions_are_passed_on_and_answered(with_page):
     with_page(test)
 
 
-def test_an_estop_does_not_wait_for_what_is_being_worked_on(with_page):
+def test_an_estop_does_not_wait_for_what_is_being_worked_on_and_cancels_it(with_page):
     async def test(page):
         ws = await page.viewer()
-        await ws.send_json({'do': 'reset', 'id': 1})
-        await ws.send_json({'do': 'estop', 'id': 2})
-        await ws.send_json({'do': 'reset', 'id': 3})
+        for number, what in enumerate(('reset', 'estop', 'reset'), 1):
+            await ws.send_json({'do': what, 'id': number, 'asked': clock()})
         found = [await with_page.texts(ws, 'result') for _ in range(3)]
         assert [item['id'] for item in found] == [2, 3, 1]
-        assert [item['ok'] for item in found] == [True, False, True]
+        assert [item['ok'] for item in found] == [True, False, False]
+        assert 'cancelled: an e-stop was pressed' in found[2]['message']
+        assert page.source.acted == []
+        assert (await page.ask(ws, 'reset'))['ok']
+
+    with_page(test)
+
+
+def test_an_estop_cancels_what_another_viewer_has_asked_for(with_page):
+    async def test(page):
+        one, other = await page.viewer(), await page.viewer()
+        await one.send_json({'do': 'reset', 'id': 1, 'asked': clock()})
+        while not page.source.acted:        # its first step has been done
+            await asyncio.sleep(0)
+        assert (await page.ask(other, 'estop'))['ok']
+        answer = await with_page.texts(one, 'result')
+        assert not answer['ok']
+        assert 'cancelled' in answer['message']
+
+    with_page(test)
+
+
+@pytest.mark.parametrize('asked', [None, -60.0, -3.5, 60.0, 'now', True, []])
+def test_what_was_asked_for_long_ago_is_not_done(with_page, asked):
+    async def test(page):
+        ws = await page.viewer()
+        given = {} if asked is None else {
+            'asked': clock() + asked if isinstance(asked, float) else asked}
+        await ws.send_json({'do': 'reset', 'id': 1, **given})
+        answer = await with_page.texts(ws, 'result')
+        assert not answer['ok']
+        assert 'not done: it' in answer['message']
+        assert page.source.acted == []
+        await ws.send_json({'do': 'estop', 'id': 2, **given})       # never too old
+        assert (await with_page.texts(ws, 'result'))['ok']
 
     with_page(test)
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 import time
 
 import numpy as np
@@ -64,7 +65,8 @@ class Viewer:
 
     async def ask(self, what, **details):
         self.number += 1
-        await self.ws.send_json({'do': what, 'id': self.number, **details})
+        await self.ws.send_json({'do': what, 'id': self.number, 'asked': time.time(),
+                                 **details})
         return await self.until(lambda: next((text for text in self.texts if text.get(
             'id') == self.number), None))
 
@@ -98,12 +100,14 @@ def test_a_viewer_gets_what_is_recorded_and_what_it_does_is_recorded(processes, 
                 'mixed': await viewer.ask('set', values={'controller.k_d': 1.0,
                                                          'trajectory.dwell': 1.0}),
                 'bad kick': await viewer.ask('kick', acceleration='x', duration=1),
+                'huge kick': await viewer.ask('kick', acceleration=10 ** 400, duration=1),
                 'nobody': await viewer.ask('activate', node='recorder_node')}
             ok = {name for name, answer in answers.items() if answer['ok']}
             assert ok == {'kick', 'zone', 'gain', 'motion'}, answers
             assert 'loop.rate' in answers['fixed']['message']
             assert 'one section' in answers['mixed']['message']
-            assert 'must be a number' in answers['bad kick']['message']
+            for name in ('bad kick', 'huge kick'):
+                assert 'must be a number' in answers[name]['message']
             stamp = viewer.column('stamp')[-1]
             await viewer.until(lambda: viewer.column('stamp')[-1] > stamp + 1.0)
             pressed = await viewer.ask('estop')
@@ -126,8 +130,8 @@ def test_a_viewer_gets_what_is_recorded_and_what_it_does_is_recorded(processes, 
     events = [json.loads(text) for _, _, text in data.events]
     actions = [event for event in events if event['event'] == 'action']
     assert [item['action'] for item in actions] == [
-        'kick', 'set', 'set', 'set', 'set', 'set', 'set', 'kick', 'activate', 'estop', 'reset',
-        'deactivate']
+        'kick', 'set', 'set', 'set', 'set', 'set', 'set', 'kick', 'kick', 'activate', 'estop',
+        'reset', 'deactivate']
     assert all(item['node'] == '/live_node' and item['by'] == '127.0.0.1' for item in actions)
     # the controller's own reason
     assert 'design rule (18): k* = 0.01 does not cover the dead-zone' in refusal
@@ -167,6 +171,89 @@ def compare(viewer, data):
     published = dict(zip(state['seq'].tolist(), state.publish_time.tolist(), strict=True))
     assert all(abs(time_shown * 1e9 - published[number]) < 1e4 for number, time_shown in zip(
         seq[1:], viewer.column('published')[1:], strict=True))
+
+
+def test_an_estop_is_not_undone_by_a_reset_that_was_asked_for_before_it(processes, tmp_path):
+    process, address = start(processes, tmp_path / 'run', '--duration', '600')
+
+    async def look():
+        async with Viewer(address) as one, Viewer(address) as other:
+            await one.until(one.running)
+            await other.until(other.running)
+            for stopper in (one, other):        # who asked for the reset, and somebody else
+                assert (await one.ask('estop'))['ok']
+                await one.until(lambda: one.texts[-1]['kind'] == 'status')
+                one.number += 1
+                asked = one.number
+                await one.ws.send_json({'do': 'reset', 'id': asked, 'asked': time.time()})
+                assert (await stopper.ask('estop'))['ok']
+                answer = await one.until(lambda asked=asked: next(
+                    (text for text in one.texts if text.get('id') == asked), None))
+                seq = one.column('seq')[-1]
+                await one.until(lambda seq=seq: one.column('seq')[-1] > seq + 100)
+                status = [text for text in one.texts if text['kind'] == 'status'][-1]
+                assert status['estop'], answer
+                modes = {node['name']: node['mode'] for node in status['nodes']}
+                assert (modes['plant_node'], modes['controller_node']) == ('estop', 'estop')
+                if stopper is one:      # in one burst: it cannot have been done before
+                    assert not answer['ok']
+                    assert 'cancelled' in answer['message']
+                assert (await one.ask('reset'))['message'] == 'reset'
+
+    asyncio.run(look())
+    process.interrupt()
+
+
+def test_nonsense_on_the_topics_does_not_end_the_page(processes, tmp_path):
+    import rclpy
+    from std_msgs.msg import String
+
+    from dz_ros.nodes import topics
+
+    process, address = start(processes, tmp_path / 'run', '--duration', '600')
+
+    heard = threading.Event()
+
+    def publish():
+        rclpy.init()
+        try:
+            node = rclpy.create_node('nonsense')
+            publisher = node.create_publisher(String, 'events', topics.everything('events'))
+            deadline = time.monotonic() + TIME_OUT
+            while not publisher.get_subscription_count():
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            for text in said:
+                publisher.publish(String(data=text))
+            heard.wait(TIME_OUT)
+        finally:
+            rclpy.shutdown()
+
+    said = ['{"event": "action", "node": "/x", "values": {"a": NaN, "b": [1e400]}, "z": Infinity}',
+            '{"event": "mode", "node": "/x", "mode": "\\ud800", "reason": "\\udfff"}',
+            '{"event": "configuration", "node": "/x", "owns": [{}, []], "configuration": '
+            '{"plant.kick": NaN}}', '[NaN]', '"\\ud800"',
+            '{"event": "last", "node": "/x"}']
+
+    async def look():
+        async with Viewer(address) as viewer:
+            await viewer.until(viewer.running)
+            publishing = asyncio.get_running_loop().run_in_executor(None, publish)
+            try:
+                await viewer.until(lambda: any(text.get('event') == 'last'
+                                               for text in viewer.texts))
+            finally:
+                heard.set()
+                await publishing
+            odd = next(text for text in viewer.texts if text.get('node') == '/x')
+            assert odd['values'] == {'a': None, 'b': [None]}
+            seq = viewer.column('seq')[-1]
+            await viewer.until(lambda: viewer.column('seq')[-1] > seq + 100)
+            async with Viewer(address) as later:
+                await later.until(later.running)
+
+    asyncio.run(look())
+    process.interrupt()
 
 
 def test_in_lockstep_the_loop_is_the_same_with_a_page(processes, tmp_path):

@@ -1,4 +1,8 @@
-// What the page can ask of the loop. The e-stop is one click or one key, wherever the focus is.
+// What the page can ask of the loop. The e-stop is one click or one key, wherever the focus is, and
+// is asked again until it is answered; whatever else is only asked of a server that is heard.
+
+const CONFIRM = 1000;   // ms until an e-stop without an answer is called so
+const TRIES = 30;       // times it is asked
 
 export class Actions {
   constructor(link, page) {
@@ -6,6 +10,8 @@ export class Actions {
     this.page = page;       // id → element
     this.may = false;
     this.why = '';
+    this.usable = false;    // whether there is anything that could do what is asked
+    this.stopping = 0;      // the number of the newest e-stop
     const {estop} = page;
     // On the way down: a finger that slips off the button has stopped the machine all the same.
     estop.addEventListener('pointerdown', () => this.stop());
@@ -31,29 +37,67 @@ export class Actions {
     this.page.estop.hidden = !live;
     this.page['kick-panel'].hidden = !live || !hello.simulated;
     document.body.dataset.may = this.may ? 'act' : 'look';
-    for (const button of document.querySelectorAll('.panels button')) {
-      button.disabled = !this.may;
-      button.title = this.why;
-    }
+    this.enable();
     if (live && !this.may) say(this.page.answer, false, this.why);
   }
 
-  async stop() {
-    if (this.page.estop.hidden) return;
-    const {page} = this;
-    const answer = await this.link.ask('estop');
-    say(page.answer, answer.ok, answer.message);
-    if (!answer.ok) {
-      page.alarm.textContent = `E-STOP NOT SENT: ${answer.message}`;
-      page.alarm.hidden = false;
-      setTimeout(() => { page.alarm.hidden = true; }, 8000);
+  // Hear whether there is anything that could do what is asked, and why not.
+  use(usable, why) {
+    if (usable === this.usable) return;
+    this.usable = usable;
+    this.enable(why);
+  }
+
+  // Never of the e-stop.
+  enable(why = '') {
+    for (const button of document.querySelectorAll('.panels button')) {
+      button.disabled = !this.may || !this.usable;
+      button.title = this.may ? why : this.why;
     }
+  }
+
+  async stop() {
+    const {page} = this;
+    if (page.estop.hidden) return;
+    const number = this.stopping += 1;
+    const begun = performance.now();
+    for (let left = TRIES; left; left -= 1) {
+      const asked = performance.now();
+      const answer = await this.link.ask('estop', {}, CONFIRM);
+      if (number !== this.stopping) return;         // it has been pressed again
+      if (answer.ok) {
+        page.alarm.hidden = true;
+        say(page.answer, true, answer.message);
+        return;
+      }
+      say(page.answer, false, answer.message);
+      if (!answer.late && !answer.lost) {
+        this.warn(`E-STOP NOT SENT: ${answer.message}`);
+        setTimeout(() => { if (number === this.stopping) page.alarm.hidden = true; }, 8000);
+        return;
+      }
+      const took = ((performance.now() - begun) / 1e3).toFixed(0);
+      this.warn(`E-STOP NOT CONFIRMED for ${took} s: ${answer.message}; trying again. `
+        + 'Stop the machine by other means.');
+      const rest = CONFIRM - (performance.now() - asked);
+      if (rest > 0) await new Promise((done) => { setTimeout(done, rest); });
+      if (number !== this.stopping) return;
+    }
+    this.warn('E-STOP NOT CONFIRMED: given up. Stop the machine by other means.');
+  }
+
+  warn(text) {
+    const {alarm} = this.page;
+    if (alarm.textContent !== text) alarm.textContent = text;
+    alarm.hidden = false;
   }
 
   async do(what, details, place) {
     say(place, true, '…');
-    const answer = await this.link.ask(what, details);
-    say(place, answer.ok, answer.message);
+    const answer = this.link.silent ? {ok: false, message: 'not sent: no word from the server'}
+      : await this.link.ask(what, details);
+    say(place, answer.ok, answer.late ? `${answer.message}: what came of it is not known`
+      : answer.message);
     return answer;
   }
 }

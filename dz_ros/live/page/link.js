@@ -1,7 +1,12 @@
-// The one connection to the server: it comes back by itself, and knows when it last heard.
+// The one connection to the server: it comes back by itself, knows when it last heard, and how old
+// what it hears is. Arrival − sending is the clocks' difference plus the way; its minimum is taken
+// for the difference, so what is later than the quickest message is old by as much.
 
 const AGAIN = 1000;     // ms until the next try
 const LIVE = 1;         // kind of a frame: rows as they come
+const DRIFT = 1e-4;     // s a second by which two clocks may run apart
+const SILENT = 1000;    // ms without a word
+const PATIENCE = 30000; // ms for an answer
 
 export class Link {
   constructor(handlers) {
@@ -10,9 +15,26 @@ export class Link {
     this.open = false;
     this.reason = '';
     this.number = 0;
+    this.offset = NaN;              // this clock − the server's [s]
+    this.offsetAt = 0;
     this.waiting = new Map();
     this.token = this.takeToken();
     this.connect();
+  }
+
+  // Whether nothing has been heard for longer than the server is ever silent.
+  get silent() { return performance.now() - this.heard > SILENT; }
+
+  // The time of the server's clock [s], NaN before its first word.
+  get time() { return 1e-3 * performance.now() - this.offset; }
+
+  // Hear when something was sent.
+  sent(time) {
+    if (!Number.isFinite(time)) return;
+    const now = 1e-3 * performance.now();
+    const drifted = this.offset + DRIFT * (now - this.offsetAt);
+    this.offset = drifted <= now - time ? drifted : now - time;
+    this.offsetAt = now;
   }
 
   takeToken() {
@@ -40,7 +62,7 @@ export class Link {
     socket.onclose = ({reason}) => {
       this.open = false;
       this.reason = reason;
-      for (const settle of this.waiting.values()) settle({ok: false, message: 'not connected'});
+      for (const settle of this.waiting.values()) settle({ok: false, lost: true, message: 'the connection was lost'});
       this.waiting.clear();
       this.handlers.closed?.(reason);
       setTimeout(() => this.connect(), AGAIN);
@@ -53,6 +75,8 @@ export class Link {
       this.waiting.get(message.id)?.(message);
       this.waiting.delete(message.id);
     } else {
+      if (message.kind === 'hello') this.offset = NaN;      // perhaps of another server
+      if (message.kind === 'hello' || message.kind === 'status') this.sent(message.time);
       this.handlers[message.kind]?.(message);
     }
   }
@@ -65,6 +89,7 @@ export class Link {
       time: head.getFloat64(16, true), values: new Float64Array(buffer, 24),
     };
     if (frame.kind === LIVE) {
+      this.sent(frame.time);
       this.handlers.rows?.(frame);
     } else {
       this.waiting.get(frame.number)?.({ok: true, ...frame});
@@ -73,12 +98,18 @@ export class Link {
   }
 
   // Ask for something; the answer comes as {ok, message} or as a frame.
-  ask(what, details = {}) {
+  ask(what, details = {}, patience = PATIENCE) {
     if (!this.open || this.socket.readyState !== WebSocket.OPEN) {
-      return Promise.resolve({ok: false, message: 'not connected'});
+      return Promise.resolve({ok: false, lost: true, message: 'not connected'});
     }
     const id = this.number = (this.number + 1) % 2 ** 31;
-    this.socket.send(JSON.stringify({do: what, id, ...details}));
-    return new Promise((settle) => this.waiting.set(id, settle));
+    this.socket.send(JSON.stringify({do: what, id, asked: this.time, ...details}));
+    return new Promise((settle) => {
+      const late = setTimeout(() => {
+        this.waiting.delete(id);
+        settle({ok: false, late: true, message: `no answer for ${patience / 1e3} s`});
+      }, patience);
+      this.waiting.set(id, (answer) => { clearTimeout(late); settle(answer); });
+    });
   }
 }

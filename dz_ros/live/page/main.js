@@ -19,7 +19,7 @@ const WORDS = 100;      // ms between two writings of numbers
 const page = Object.fromEntries([...document.querySelectorAll('[id]')].map((node) => [node.id, node]));
 
 const app = {
-  link: null, hello: null, status: null, statusAt: 0, stores: [], plots: null, bars: [],
+  link: null, hello: null, status: null, rowsAt: NaN, stores: [], plots: null, bars: [],
   tiles: null, finished: false, dirty: true, cost: 0, drawnAt: 0, saidAt: 0,
 };
 const view = new View((what) => {
@@ -34,6 +34,7 @@ function hello(message) {
   app.hello = message;
   app.finished = false;
   app.status = null;
+  app.rowsAt = NaN;
   document.title = `${message.title} – dz_ros`;
   document.body.dataset.mode = message.mode;
   page.title.textContent = message.title;
@@ -82,6 +83,7 @@ function detail(store, answer, from, to) {
 function rows(frame) {
   if (!app.stores.length || frame.number !== app.hello.generation) return;
   app.stores[0].append(frame.values, frame.count);
+  app.rowsAt = frame.time;
   view.reach(app.stores[0].first, app.stores[0].last);
   app.finished = false;
   app.dirty = true;
@@ -120,15 +122,16 @@ function frame(now) {
 let barsAt = 0;
 
 function words() {
-  const [state, word, why] = condition({...app, view});
+  const [state, word, why, usable] = condition({...app, view});
   const fresh = ['live', 'paused', 'recorded', 'fault', 'waiting'].includes(state);
   if (document.body.dataset.state !== state) document.body.dataset.state = state;
   if (page['state-word'].textContent !== word) page['state-word'].textContent = word;
   if (page['state-why'].textContent !== why) page['state-why'].textContent = why;
+  app.actions.use(usable, usable ? '' : word);
   page.pause.textContent = view.follow ? 'Pause' : 'Resume';
   page.pause.setAttribute('aria-pressed', String(!view.follow));
   if (!app.tiles) return;
-  const silent = state === 'off' || (state === 'gone' && performance.now() - app.link.heard > 1000);
+  const silent = state === 'off' || app.link.silent;
   nodes.say(app.status, silent);
   const [from, to] = view.window;
   app.tiles.say(app.stores[0], view.cursor, from, to, fresh);
@@ -175,7 +178,7 @@ function wire() {
 
 app.link = new Link({
   hello, facts, rows, event: happened, events: (message) => message.events.forEach(happened),
-  status: (message) => { app.status = message; app.statusAt = performance.now(); },
+  status: (message) => { app.status = message; },
 });
 app.actions = new Actions(app.link, page);
 app.parameters = new Parameters(page.parameters, app.actions);

@@ -31,9 +31,7 @@ export class Parameters {
       const items = facts.parameters.filter((item) => item.section === section);
       if (items.length) this.place.append(this.form(section, title, items));
     }
-    if (!this.actions.may) {
-      for (const button of this.place.querySelectorAll('button')) button.disabled = true;
-    }
+    this.actions.enable();
   }
 
   form(section, title, items) {

@@ -2,7 +2,7 @@
 
 import {make, number, seconds, withUnit} from './words.js';
 
-const SILENT = 1000;    // ms without a word from the server
+const OLD = 1;          // s by which what is seen may be behind the server
 const FRESH = 0.5;      // s without a state that still count as live, at fast rates
 const BAD = ['fault', 'estop', 'lost'];
 
@@ -49,29 +49,46 @@ export class Tiles {
   mark(name, mood) { this.tiles[name].parentElement.dataset.mood = mood; }
 }
 
-// How the loop is, in a word and a reason. What is not heard is never called live.
-export function condition({link, hello, status, statusAt, view, finished}) {
+// How the loop is, in a word and a reason, and whether anybody could do what is asked of it. What is
+// not heard, or heard late, is never called live.
+export function condition({link, hello, status, rowsAt, stores, view, finished}) {
   const now = performance.now();
   if (!hello || !link.open) {
-    return ['off', 'NOT CONNECTED', link.reason || 'trying again every second'];
+    return ['off', 'NOT CONNECTED', link.reason || 'trying again every second', false];
   }
-  if (hello.mode === 'run') return ['recorded', 'RECORDED', hello.runs.length > 1 ? 'two runs' : ''];
-  if (now - link.heard > SILENT) {
-    return ['gone', 'NO WORD FROM THE SERVER', `for ${((now - link.heard) / 1e3).toFixed(1)} s`];
+  if (hello.mode === 'run') {
+    return ['recorded', 'RECORDED', hello.runs.length > 1 ? 'two runs' : '', false];
   }
-  if (!status || status.age === null) return ['waiting', 'WAITING FOR A LOOP', hello.namespace];
-  const age = status.age + (now - statusAt) / 1e3;
+  if (link.silent) {
+    return ['gone', 'NO WORD FROM THE SERVER', `for ${((now - link.heard) / 1e3).toFixed(1)} s`,
+            false];
+  }
+  if (!status || status.age === null) {
+    return ['waiting', 'WAITING FOR A LOOP', hello.namespace, true];
+  }
+  const told = link.time - status.time;     // how long ago what is said of the loop was sent
+  const there = status.nodes.some((node) => !node.gone);
+  if (told > OLD) return ['gone', 'OLD DATA', `what is heard is ${told.toFixed(1)} s old`, false];
+  const age = status.age + told;
   if (age > Math.max(FRESH, 5 / (hello.rate || 200))) {
-    return ['gone', finished ? 'LOOP ENDED' : 'LOOP GONE', `last data ${age.toFixed(1)} s ago`];
+    return ['gone', finished ? 'LOOP ENDED' : 'LOOP GONE', `last data ${age.toFixed(1)} s ago`,
+            there];
+  }
+  const shown = link.time - rowsAt;
+  const behind = hello.timing === 'lockstep' || !stores[0]?.count ? 0
+    : age + status.stamp - stores[0].last;
+  const old = Math.max(shown, behind);
+  if (!(old <= Math.max(OLD, 5 / (hello.rate || 200)))) {
+    return ['gone', 'OLD DATA', Number.isFinite(old) ? `the plots are ${old.toFixed(1)} s behind`
+      : 'no rows have come', false];
   }
   const bad = status.nodes.find((node) => BAD.includes(node.mode) && !node.gone);
   if (bad) return ['fault', bad.mode === 'estop' ? 'E-STOP' : bad.mode.toUpperCase(),
-                   `${bad.name}: ${bad.reason}`];
-  if (status.estop) return ['fault', 'E-STOP', 'pressed'];
+                   `${bad.name}: ${bad.reason}`, true];
+  if (status.estop) return ['fault', 'E-STOP', 'pressed', true];
   const rest = status.nodes.find((node) => !node.gone && node.mode === 'waiting');
-  if (rest) return ['waiting', 'WAITING', `${rest.name}: ${rest.message}`];
-  if (!view.follow) return ['paused', 'PAUSED', 'the loop runs on'];
+  if (rest) return ['waiting', 'WAITING', `${rest.name}: ${rest.message}`, true];
+  if (!view.follow) return ['paused', 'PAUSED', 'the loop runs on', true];
   const step = hello.timing === 'lockstep' ? ', lockstep' : '';
-  return ['live', 'LIVE', `${status.rate.toFixed(0)} Hz${step}`];
+  return ['live', 'LIVE', `${status.rate.toFixed(0)} Hz${step}`, true];
 }
-

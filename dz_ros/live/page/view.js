@@ -65,7 +65,11 @@ export class View {
   }
 }
 
-// Keys that move the view, where no field or button is being used.
+// Keys that move the view, wherever the focus is, unless what has it uses them itself.
+const USES = 'input, select, textarea, [contenteditable]';
+const PRESSED = 'button, a, summary';       // by Space
+const SCROLLED = '.events';                 // by Home, End
+
 export function keys(view, step) {
   const moves = {
     ' ': () => (view.follow ? view.pause() : view.live()),
@@ -76,7 +80,8 @@ export function keys(view, step) {
   };
   return (event) => {
     const {target} = event;
-    const free = target === document.body || target.id === 'plots';
+    const free = !target.closest(USES) && !(event.key === ' ' && target.closest(PRESSED))
+      && !(['Home', 'End'].includes(event.key) && target.closest(SCROLLED));
     const move = moves[event.key];
     if (!free || !move || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();

@@ -1,0 +1,117 @@
+"""What viewers ask, and their answers.
+
+An e-stop is done as soon as it is read. Everything else is worked on one by one for each viewer,
+and an e-stop, whoever pressed it, cancels what was accepted before it: a reset that was asked for
+earlier must not undo it. An action carries the time at which it was asked, by the server's clock
+as far as the page knows it; one that was long on its way is refused, since whoever asked has seen
+another loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Any
+
+from dz_ros.errors import DzRosError, LoopError
+from dz_ros.live.access import Access
+from dz_ros.live.clock import clock
+from dz_ros.live.requests import finite, parse, ProtocolError, result
+from dz_ros.live.source import Source
+from dz_ros.live.viewer import Viewer
+
+ACTIONS = frozenset(('reset', 'activate', 'deactivate', 'set', 'kick'))
+QUESTIONS = frozenset(('rows', 'histogram'))
+OLD = 3.0
+"""An action that was asked for longer ago than this is refused [s]."""
+
+
+class Answers:
+    """Answers the viewers of one source.
+
+    Args:
+        source: What is shown.
+        access: Who may do what.
+        kinds: aiohttp's kinds of messages.
+    """
+
+    def __init__(self, source: Source, access: Access, kinds: Any) -> None:
+        self._source = source
+        self._access = access
+        self._kinds = kinds
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def close(self) -> None:
+        """Give up what is being worked on."""
+        for task in list(self._tasks):
+            task.cancel()
+
+    def hear(self, viewer: Viewer, message: Any) -> None:
+        """Take a request.
+
+        Raises:
+            ProtocolError: It is none, or one too many.
+        """
+        request = parse(message, self._kinds)
+        if not viewer.budget.spend(time.monotonic()):
+            raise ProtocolError('too many requests')
+        what, number = request.get('do'), request.get('id')
+        if not isinstance(what, str) or isinstance(number, bool) or not isinstance(number, int) \
+                or not 0 <= number < 2 ** 31:
+            raise ProtocolError('do and id expected')
+        if what == 'estop':     # at once: nothing that is being worked on holds it up
+            viewer.say(self._stop(viewer, number))
+        elif what in ACTIONS or what in QUESTIONS:
+            if viewer.busy:
+                viewer.say(result(number, False, 'another request is being worked on'))
+                return
+            viewer.busy = True
+            task = asyncio.create_task(self._work(viewer, what, number, request,
+                                                  self._source.stops))
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+        else:
+            raise ProtocolError('no such request')
+
+    def _stop(self, viewer: Viewer, number: int) -> dict[str, Any]:
+        if not viewer.may_act:
+            return result(number, False, self._access.why_not(viewer.token))
+        try:
+            return {**result(number, True, ''), **self._source.estop(viewer.name)}
+        except DzRosError as error:
+            return result(number, False, str(error))
+
+    async def _work(self, viewer: Viewer, what: str, number: int, request: dict[str, Any],
+                    stops: int) -> None:
+        """Work on a request and answer it."""
+        try:
+            if what in QUESTIONS:
+                found = await self._source.ask(request)
+                if isinstance(found, bytes):
+                    await viewer.give(found)    # the next one when this one has left
+                    return
+                answer = {**result(number, True, ''), **found}
+            elif not viewer.may_act:
+                answer = result(number, False, self._access.why_not(viewer.token))
+            else:
+                self._fresh(request)
+                answer = {**result(number, True, ''),
+                          **await self._source.act(viewer.name, request, stops)}
+        except DzRosError as error:
+            answer = result(number, False, str(error))
+        finally:
+            viewer.busy = False
+        viewer.say(answer)
+
+    def _fresh(self, request: dict[str, Any]) -> None:
+        """Refuse what was asked for long ago.
+
+        Raises:
+            LoopError: It was, or does not say when.
+        """
+        asked = finite(request.get('asked'))
+        if asked is None:
+            raise LoopError('not done: it does not say when it was asked')
+        age = clock() - asked
+        if not abs(age) <= OLD:
+            raise LoopError(f'not done: it was asked {age:.1f} s ago, more than {OLD:g} s')
