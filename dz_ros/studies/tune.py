@@ -141,7 +141,7 @@ def _from_rules(c: Configuration, design: Design, delta: float) -> dict[str, tup
         'k_2': (2.0 * k_d, '2 k_d; 0 from λ = 8 on where regressors hang on velocities'),
         'v_max': (c.plant_settings.command_limit or getattr(gains, 'v_max', 0.0),
                   "the actuator's limit, 0 = none"),
-        'epsilon': (0.0, f'a layer as steep as K0 = {steepest:.4g} allows at delay {delay}'),
+        'epsilon': (0.0, f'{MARGIN:g} of the slope at which the loop chatters at delay {delay}'),
     }.items() if key not in (('epsilon',) if derived else ('margin', 'beta', 'design_delay'))}
 
 
