@@ -72,8 +72,6 @@ def live(browser: Any, address: str, out: Path) -> None:
     until(page, "document.body.dataset.state === 'live'")
     page.screenshot(path=out / 'live_light.png')
     page.emulate_media(color_scheme='dark')
-    page.wait_for_timeout(400)
-    page.screenshot(path=out / 'live_dark.png')
     page.set_viewport_size({'width': 390, 'height': 844})
     page.wait_for_timeout(600)
     until(page, "document.body.dataset.state === 'live'")
