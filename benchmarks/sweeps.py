@@ -70,9 +70,11 @@ def study(name: str, folder: Path) -> Picture:
 def throughput(jobs: int, runs: int, folder: Path, cluster: str | None = None) -> float:
     """Return runs per second, compilation left out.
 
-    Processes are new in each sweep, so it is the time between two lengths of one; the workers of a
-    cluster stay, so the first sweep compiles and the second is timed.
+    Several processes are new in each sweep, so it is the time between two lengths of one. A single
+    process is this one and the workers of a cluster stay, so the first sweep compiles and the
+    second is timed.
     """
+    stay = jobs == 1 or cluster is not None
     times = []
     for count in (runs // 10, runs):
         plan = SweepPlan(base_configuration(20.0),
@@ -80,7 +82,7 @@ def throughput(jobs: int, runs: int, folder: Path, cluster: str | None = None) -
         begin = time.perf_counter()
         run_sweep(plan, folder / f'speed-{jobs}-{count}-{bool(cluster)}.csv', jobs, cluster)
         times.append(time.perf_counter() - begin)
-    return runs / times[1] if cluster else (runs - runs // 10) / (times[1] - times[0])
+    return runs / times[1] if stay else (runs - runs // 10) / (times[1] - times[0])
 
 
 @contextmanager
@@ -153,7 +155,9 @@ def write(machine: str, lines: list[str], drawn: dict[str, Picture]) -> None:
             'Compiled by numba, four RK4 steps a sample, metrics included; compiling, some '
             f'seconds in each process, left out. Measured on {machine}; load average '
             f'{os.getloadavg()[0]:.1f} on {cores()} cores at the end. Scheduler and client of a '
-            'cluster take their share of the same cores as its workers.', '']
+            'cluster take their share of the same cores as its workers. The runs are those of the '
+            'batches in [Performance](performance.md), measured at another time: rates differ by '
+            'what else the machine was doing.', '']
     (ROOT / 'docs' / 'sweeps.md').write_text('\n'.join(text), encoding='utf-8')
 
 

@@ -136,7 +136,12 @@ def _as_a_node(words: list[str], own: dict[str, Any], log: Path) -> Iterator[Res
         with log.open('wb') as out:
             host = start_node('actuator_node', words, stdout=out, stderr=subprocess.STDOUT)
             try:
-                yield from _through_topics(words, {**own, 'only': only}, host, log)
+                try:
+                    yield from _through_topics(words, {**own, 'only': only}, host, log)
+                except DriverError as error:
+                    yield Result(only or 'as a node', False, 'not there', 'publishes state',
+                                 str(error))
+                    return
                 if host.poll() is not None:
                     yield Result('host', False, f'exit code {host.returncode}', 'running',
                                  _last_line(log))

@@ -18,6 +18,7 @@ import time
 from dz_ros.core import schema
 from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.hosted import HostedDriver
+from dz_ros.drivers.telling import checked, told
 from dz_ros.errors import DriverError, DzRosError
 
 SPAN = 1.0
@@ -45,6 +46,15 @@ class Result:
     figure: str
     limit: str
     words: str = ''
+
+
+def wave(phase: float) -> float:
+    """Return both signs in turn, 0.5 … 1 in size, of period 1: never 0, which the safe command is.
+
+    A driver that holds its last command is thereby told from one that took the safe one.
+    """
+    sine = math.sin(2.0 * math.pi * phase)
+    return math.copysign(0.5 + 0.5 * abs(sine), sine)
 
 
 class _Subject:
@@ -89,12 +99,23 @@ class _Subject:
             self.hosted.advance(self.t, self.seq)
             self.seq += 1
 
-    def settle(self, v: float, safe: bool = False) -> float | None:
-        """Give a command for some samples; return what the device then holds."""
+    def give(self, v: float, safe: bool = False) -> None:
+        """Give a command for some samples."""
         for _ in self.samples(20):
             (self.hosted.safe if safe else self.hosted.command)(v, self.t)
             self.hosted.measure(self.t)
-        return self.driver.in_force()
+
+    def settle(self, v: float, safe: bool = False) -> float | None:
+        """Give a command for some samples; return what the device then holds.
+
+        Raises:
+            DriverError: It cannot tell, whatever its code raised.
+        """
+        self.give(v, safe)
+        held = checked('in_force', self.driver.in_force)
+        if held is not None and not (isinstance(held, (int, float)) and math.isfinite(held)):
+            raise DriverError(f'in_force: {held!r} is neither a finite number nor None')
+        return held
 
 
 Check = Callable[[_Subject], Result]
@@ -113,15 +134,15 @@ def check_contract(configuration: Configuration, amplitude: float,
         ConfigurationError: The driver cannot be made of this configuration.
     """
     subject = _Subject(configuration)
-    yield _declaration(subject, configuration)
+    yield _guarded('declaration', 'complete', lambda: _declaration(subject, configuration))
     try:
         yield _guarded('opens', 'a measurement', lambda: _opens(subject))
         if not subject.hosted.enabled:
             return
         try:
             yield from _runs(subject, amplitude)
-        except DzRosError as error:
-            yield Result('no trouble', False, 'lost', 'none', str(error))
+        except Exception as error:  # noqa: BLE001  somebody else's code
+            yield Result('no trouble', False, 'lost', 'none', _words(error))
         yield _guarded('safe command', 'held at once', lambda: _safe(subject, amplitude))
         yield _guarded('limit', 'kept', lambda: _limit(subject, saturate))
         yield _guarded('stop and reset', 'acts again', lambda: _reset(subject, amplitude))
@@ -135,8 +156,13 @@ def _guarded(name: str, limit: str, check: Callable[[], Result]) -> Result:
     """Return what a check finds; what goes wrong on the way is a failure."""
     try:
         return check()
-    except DzRosError as error:
-        return Result(name, False, 'failed', limit, str(error))
+    except Exception as error:  # noqa: BLE001  somebody else's code
+        return Result(name, False, 'failed', limit, _words(error))
+
+
+def _words(error: Exception) -> str:
+    """Return in words what a check met."""
+    return str(error) if isinstance(error, DzRosError) else told('the driver', error)
 
 
 def _declaration(subject: _Subject, c: Configuration) -> Result:
@@ -148,8 +174,9 @@ def _declaration(subject: _Subject, c: Configuration) -> Result:
         faults.append(f'state_units {units!r} must be {order} texts')
     if not (isinstance(driver.command_unit, str) and driver.command_unit):
         faults.append('command_unit must be a text')
-    if not driver.limit > 0.0:
-        faults.append(f'limit {driver.limit} must be > 0')
+    limit = driver.limit
+    if not limit > 0.0:
+        faults.append(f'limit {limit} must be > 0')
     if not driver.summary.strip():
         faults.append('summary is empty')
     for item in schema.fields(driver.Parameters):
@@ -157,7 +184,7 @@ def _declaration(subject: _Subject, c: Configuration) -> Result:
             faults.append(f'parameter {item.name} has no description')
     figure = (f'order {driver.order or "any"}, measures {driver.measured} of {order} in '
               f'{", ".join(units)}; command in {driver.command_unit}'
-              + (f' up to {driver.limit:g}' if math.isfinite(driver.limit) else ''))
+              + (f' up to {limit:g}' if math.isfinite(limit) else ''))
     return Result('declaration', not faults, figure, 'complete', '; '.join(faults))
 
 
@@ -169,14 +196,13 @@ def _opens(subject: _Subject) -> Result:
 
 
 def _runs(subject: _Subject, amplitude: float) -> Iterator[Result]:
-    """Run at the rate with a slow sine of commands: measurements, time of calls, trouble."""
+    """Run at the rate with a slow wave of commands: measurements, time of calls, trouble."""
     count = max(round(SPAN / subject.period), 50)
     hosted, missed = subject.hosted, subject.hosted.missed
     slowest, trouble = [], ''
     for k in subject.samples(count):
         started = time.perf_counter()
-        hosted.command(subject.safe_command + amplitude * math.sin(2.0 * math.pi * k / count),
-                       subject.t)
+        hosted.command(subject.safe_command + amplitude * wave(k / count), subject.t)
         hosted.measure(subject.t)
         trouble = trouble or hosted.trouble()
         slowest.append(time.perf_counter() - started)
@@ -184,7 +210,7 @@ def _runs(subject: _Subject, amplitude: float) -> Iterator[Result]:
     least = math.ceil(WITH_MEASUREMENT * count)
     yield Result('measurement', count - missed >= least, f'{count - missed} of {count} samples',
                  f'>= {least}', '' if count - missed >= least else
-                 f'{missed} samples without a measurement of {subject.driver.measured} finite '
+                 f'{missed} samples without a measurement of {subject.hosted.measured} finite '
                  'numbers')
     slow = sum(item > 0.5 * subject.period for item in slowest)
     allowed = max(3, round(SLOW_CALLS * count))
@@ -205,13 +231,16 @@ def _safe(subject: _Subject, amplitude: float) -> Result:
     if held is None or acting is None:
         return Result('safe command', None, 'sent', 'held at once', 'the driver does not tell '
                       'what the device holds (in_force)')
+    if math.isclose(subject.safe_command + amplitude, subject.safe_command, abs_tol=1e-6):
+        return Result('safe command', None, f'holds {held:g}', f'{subject.safe_command:g}',
+                      'the commands before were as small: nothing tells them from the safe one')
     kept = math.isclose(held, subject.safe_command, rel_tol=1e-3, abs_tol=1e-6)
     return Result('safe command', kept, f'holds {held:g}', f'{subject.safe_command:g}',
                   '' if kept else 'the device still holds another command')
 
 
 def _limit(subject: _Subject, saturate: bool) -> Result:
-    limit = subject.driver.limit
+    limit = subject.hosted.limit
     if not math.isfinite(limit):
         return Result('limit', None, 'no limit declared', 'kept', 'nothing is clipped')
     if not saturate:
@@ -219,7 +248,7 @@ def _limit(subject: _Subject, saturate: bool) -> Result:
                       'has: --saturate tries')
     before = subject.hosted.saturated
     held = subject.settle(2.0 * limit)
-    subject.settle(subject.safe_command, safe=True)
+    subject.give(subject.safe_command, safe=True)
     reported = subject.hosted.saturated - before
     if held is None:
         return Result('limit', None, f'{reported} commands clipped', f'|v| <= {limit:g}',
@@ -231,14 +260,14 @@ def _limit(subject: _Subject, saturate: bool) -> Result:
 
 def _reset(subject: _Subject, amplitude: float) -> Result:
     """The e-stop as the host does it, then the reset, then a command."""
-    subject.settle(subject.safe_command, safe=True)
+    subject.give(subject.safe_command, safe=True)
     lasting = subject.hosted.recover()
     if lasting:
         return Result('stop and reset', False, 'trouble lasts', 'acts again', lasting)
-    wanted = min(subject.safe_command + amplitude, subject.driver.limit)
+    wanted = min(subject.safe_command + amplitude, subject.hosted.limit)
     held = subject.settle(wanted)
     trouble = subject.hosted.trouble()
-    subject.settle(subject.safe_command, safe=True)
+    subject.give(subject.safe_command, safe=True)
     if trouble or held is None:
         return Result('stop and reset', False if trouble else None, 'commands again',
                       'acts again', trouble or 'the driver does not tell what the device holds '
@@ -259,7 +288,7 @@ def _restart(subject: _Subject) -> Result:
 
 def _reconnect(subject: _Subject) -> Result:
     """Closed in the middle of the work, as after an error; opened anew."""
-    subject.settle(subject.safe_command)
+    subject.give(subject.safe_command)
     started = time.monotonic()
     said = subject.hosted.close()
     if said:

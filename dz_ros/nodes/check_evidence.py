@@ -38,6 +38,7 @@ class Evidence:
         states: Every state heard.
         arrivals: When each arrived, by the steady clock [s].
         commands: seq → stamp of every command sent.
+        taken: seq → how long after hearing the state it answers each was sent [s].
         wrong_labels: Labels of states that are not those of the order; '' = none.
         tells: Whether events or truth of the node say what the actuator does.
     """
@@ -46,6 +47,7 @@ class Evidence:
         self.states: list[State] = []
         self.arrivals: list[float] = []
         self.commands: dict[int, float] = {}
+        self.taken: dict[int, float] = {}
         self.wrong_labels = ''
         self.tells = False
         self._node: Node = node
@@ -88,6 +90,7 @@ class Evidence:
     def command(self, command: Command) -> None:
         """Send a good command."""
         self.commands[command.seq] = command.stamp
+        self.taken[command.seq] = time.monotonic() - self.arrivals[-1]
         self._send(command.numbers())
 
     def send(self, labels: Sequence[str], numbers: Sequence[float]) -> None:

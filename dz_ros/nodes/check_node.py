@@ -22,7 +22,7 @@ from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
 from dz_ros.core.records import Command
-from dz_ros.drivers.conformance import Result
+from dz_ros.drivers.conformance import Result, wave
 from dz_ros.drivers.stream_figures import figures
 from dz_ros.errors import LoopError
 from dz_ros.nodes.base import LoopNode
@@ -34,6 +34,9 @@ PATIENCE = 15.0
 """A node must publish its first state within this [s]."""
 SPAN = 3.0
 """How long it is watched while all is well [s]."""
+HELD, HOLD = 10, 0.5
+"""While it is watched, every tenth command is held back for half a period: round_trip must show
+it."""
 BACK = 5.0
 """After a stop, commands must act again within this [s]."""
 
@@ -58,7 +61,7 @@ class CheckNode(LoopNode):
         self._evidence = Evidence(self, self._answer)
         self._estop = self.create_publisher(Bool, 'estop', LATCHED)
         self._seq = 0
-        self._answering = False
+        self._answering = self._holding = False
         self._v: float | None = None
 
     def run(self) -> None:
@@ -91,9 +94,11 @@ class CheckNode(LoopNode):
             return
         self._acts(BACK)
         evidence.begin()
+        self._holding = True
         self._wait(SPAN)
+        self._holding = False
         yield from figures(evidence.states, evidence.arrivals, evidence.commands,
-                           self._period, self.configuration.plant.order)
+                           self._period, self.configuration.plant.order, evidence.taken)
         yield self._bad_messages()
         yield self._saturation()
         yield self._silence()
@@ -166,6 +171,9 @@ class CheckNode(LoopNode):
         self._evidence.note('silence')
         self._wait((hold + 20) * self._period + 0.3)
         samples = self._evidence.safe_after(self._safe)
+        if not self._amplitude:
+            return Result(name, None, 'unseen', limit, 'with amplitude 0 the last command is the '
+                          'safe one')
         if samples is None and not self._evidence.tells:
             return Result(name, None, 'unseen', limit, 'neither events nor truth say when the '
                           'actuator takes the safe command')
@@ -240,9 +248,10 @@ class CheckNode(LoopNode):
         """Answer a state."""
         if not self._answering:
             return
-        wave = self._safe + self._amplitude * math.sin(2.0 * math.pi * stamp)
-        self._evidence.command(Command(self._seq, stamp, wave if self._v is None else self._v,
-                                       seq, stamp))
+        v = self._safe + self._amplitude * wave(stamp) if self._v is None else self._v
+        if self._holding and self._seq % HELD == 0:
+            time.sleep(HOLD * self._period)
+        self._evidence.command(Command(self._seq, stamp, v, seq, stamp))
         self._seq += 1
 
     def _acts(self, limit: float, fresh: bool = False) -> bool:

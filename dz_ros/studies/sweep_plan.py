@@ -81,12 +81,14 @@ class Axis:
                                      'with log')
         return cls(key, low, high, count, log)
 
-    def grid(self) -> tuple[Any, ...]:
-        """Return the values on a grid."""
+    def grid(self) -> Iterator[Any]:
+        """Yield the values on a grid."""
         if self.values:
-            return self.values
+            yield from self.values
+            return
         spread = np.geomspace if self.log else np.linspace
-        return tuple(float(item) for item in spread(self.low, self.high, self.count))
+        for item in spread(self.low, self.high, self.count):
+            yield float(item)
 
     def at(self, share: float) -> Any:
         """Return the value at a share of the axis, 0 <= share < 1."""
@@ -135,7 +137,7 @@ class SweepPlan:
             raise ConfigurationError('--over', keys, f'{len(self)} runs are too many; at most '
                                      f'{MOST}')
         for axis in self.axes:
-            self.changes({axis.key: axis.grid()[0]})
+            self.changes({axis.key: next(axis.grid())})
             Configuration.from_flat({**self.base, **_known(self.base, axis)})
 
     def __len__(self) -> int:
@@ -148,7 +150,7 @@ class SweepPlan:
         """Yield key → value of every run, in order; the last axis varies fastest on a grid."""
         keys = [axis.key for axis in self.axes]
         if self.sampler == 'grid':
-            for values in itertools.product(*(axis.grid() for axis in self.axes)):
+            for values in _combinations(self.axes):
                 yield dict(zip(keys, values, strict=True))
             return
         for row in itertools.islice(self._shares(), self.samples):
@@ -192,12 +194,22 @@ class SweepPlan:
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 
+def _combinations(axes: Sequence[Axis]) -> Iterator[tuple[Any, ...]]:
+    """Yield every combination of the axes' values, the last varying fastest, none kept."""
+    if not axes:
+        yield ()
+        return
+    for value in axes[0].grid():
+        for others in _combinations(axes[1:]):
+            yield (value, *others)
+
+
 def _known(base: Mapping[str, Any], axis: Axis) -> dict[str, Any]:
     """Return the axis' own first value where it names a class, so that unknown keys are found."""
     match = _INDEXED.match(axis.key)
     if match is not None:
         return {}
-    return {axis.key: base.get(axis.key, axis.grid()[0])}
+    return {axis.key: base.get(axis.key, next(axis.grid()))}
 
 
 def _value(text: str) -> Any:

@@ -81,6 +81,25 @@ def test_many_missing_samples_are_found():
     assert 'missing' in found['rate'].words
 
 
+def held_back(trip):
+    """Return the latency of a node that tells `trip(own)` where its answer took `own` [s]."""
+    states, arrivals, commands = stream()
+    taken = {k: 0.0025 if k % 10 == 0 else 0.0002 for k in commands}
+    states = [replace(item, round_trip=trip(taken.get(item.echo_seq, 0.0))) for item in states]
+    return {item.name: item for item in figures(states, arrivals, commands, T, 2,
+                                                taken)}['latency']
+
+
+def test_a_round_trip_shows_the_time_that_answers_took():
+    found = held_back(lambda own: own + 0.0003)
+    assert found.passed
+    assert '0 of 199 shorter' in found.figure
+    made_up = held_back(lambda own: 0.001)
+    assert made_up.passed is False
+    assert 'does not show' in made_up.words
+    assert '20 of 199 shorter' in made_up.figure    # k = 0, 10, …, 190
+
+
 def test_too_few_states_are_not_judged():
     found = results(*stream(5))
     assert list(found) == ['order and labels', 'rate']

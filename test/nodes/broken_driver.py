@@ -31,6 +31,8 @@ class Broken(DriverNode):
                 data[4] += 1e-3
             elif FLAW == 'latency':
                 data[5] = 0.0
+            elif FLAW == 'made-up latency':
+                data[5] = 0.001
             elif FLAW == 'saturation':
                 self.tell(1000.0, data[1])
             message.data = data

@@ -191,7 +191,8 @@ def test_a_device_that_is_stopped_by_itself_is_reset_while_inactive(processes, l
         'from dz_ros.errors import DriverError\n\n\n'
         'class Stopped(SimulatedActuator):\n    name, latched = "stopped", True\n\n'
         '    def trouble(self):\n        return "e-stop" if self.latched else ""\n\n'
-        '    def enable(self):\n        if self.latched:\n            raise DriverError("e-stop")\n\n'
+        '    def enable(self):\n        if self.latched:\n'
+        '            raise DriverError("e-stop")\n\n'
         '    def recover(self):\n        self.latched = False\n', encoding='utf-8')
     node = processes(*NODE, 'actuator_node', '--ros-args', '-p', 'driver.name:=stopped:Stopped',
                      '-p', 'autostart:=false', '-p', "loop.peers:=['plant_node']",

@@ -54,7 +54,8 @@ def test_the_example_s_node_passes_from_outside(processes, path):
 
 @pytest.mark.parametrize(('flaw', 'name'), [
     ('labels', 'order and labels'), ('seq', 'seq'), ('stamps', 'stamps'), ('echo', 'echo'),
-    ('rate', 'rate'), ('latency', 'latency'), ('bad messages', 'bad messages refused'),
+    ('rate', 'rate'), ('latency', 'latency'), ('made-up latency', 'latency'),
+    ('bad messages', 'bad messages refused'),
     ('saturation', 'saturation'), ('stale', 'stale command'), ('restart', 'commander restarts'),
     ('e-stop', 'e-stop'), ('reset', 'reset'), ('disconnect', 'disconnect and reconnect')])
 def test_a_broken_node_fails_the_check_that_is_for_it(processes, path, flaw, name):
@@ -87,6 +88,49 @@ def test_the_example_s_class_passes(processes, path):
     assert set(NAMES) <= set(found)
 
 
+LOCKED = '''
+import os
+from pathlib import Path
+from dz_ros.drivers.simulated import SimulatedActuator
+from dz_ros.errors import DriverError
+
+LOCK = Path(__file__).with_name('lock')
+
+
+class Locked(SimulatedActuator):
+    """Leaves a lock behind where it is killed."""
+
+    name = 'locked'
+
+    def open(self):
+        super().open()
+        try:
+            os.close(os.open(LOCK, os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            raise DriverError('the device is in use') from None
+        self.mine = True
+
+    def close(self):
+        super().close()
+        if getattr(self, 'mine', False):
+            self.mine = False
+            LOCK.unlink()
+'''
+
+
+def test_a_driver_that_does_not_come_back_after_it_was_killed_fails_that_check(processes,
+                                                                             tmp_path):
+    (tmp_path / 'locked.py').write_text(LOCKED, encoding='utf-8')
+    kit = processes(*DZ, 'locked:Locked', '--yes', '--json', PYTHONPATH=os.pathsep.join(
+        [str(ROOT), str(tmp_path)]))
+    assert kit.wait(TIME_OUT) == 1, kit.output
+    found = results(kit)
+    assert {name for name in found if found[name]['passed'] is False} - LATE == {
+        'killed and started again'}, words(found)
+    assert 'the device is in use' in found['killed and started again']['words']
+    assert list(found)[-1] == 'killed and started again'
+
+
 def test_a_driver_that_dies_as_a_node_is_told_in_one_line(processes, tmp_path):
     (tmp_path / 'dying.py').write_text(
         'import os\nfrom dz_ros.drivers.simulated import SimulatedActuator\n\n'
@@ -95,10 +139,16 @@ def test_a_driver_that_dies_as_a_node_is_told_in_one_line(processes, tmp_path):
         '    def advance(self, t, seq):\n'
         '        if hasattr(self, "node") and t > 0.5:\n            os._exit(3)\n'
         '        return super().advance(t, seq)\n', encoding='utf-8')
-    kit = processes(*DZ, 'dying:Dying', '--yes', PYTHONPATH=os.pathsep.join(
+    kit = processes(*DZ, 'dying:Dying', '--yes', '--json', PYTHONPATH=os.pathsep.join(
         [str(ROOT), str(tmp_path)]))
-    assert kit.wait(TIME_OUT) in (1, 2), kit.output
+    assert kit.wait(TIME_OUT) == 1, kit.output
     assert 'Traceback' not in kit.output
+    found = results(kit)
+    assert 'disconnect and reconnect' not in found or not found['disconnect and reconnect'][
+        'passed']
+    dead = found.get('host') or found['as a node']
+    assert dead['passed'] is False
+    assert list(found)[-1] == dead['name']
 
 
 def test_nobody_there_is_one_line(processes):

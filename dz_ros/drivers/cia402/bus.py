@@ -121,6 +121,11 @@ class DriveBus:
             except self._error as error:
                 self.complain(f'the bus could not be closed: {error}')
 
+    def follow(self, earlier: DriveBus) -> None:
+        """Know what was known at a connection that has gone: restarts, turns made."""
+        self.restarted = earlier.restarted
+        self._unwrap = earlier._unwrap
+
     @property
     def broken(self) -> bool:
         """Whether the bus is not there, or has gone."""

@@ -245,11 +245,11 @@ class Cia402(Driver):
     def _reconnect(self) -> DriveBus:
         """Leave the bus that is gone and connect anew."""
         bus, cycle = self._open()
-        trouble, restarted = bus.trouble, bus.restarted
+        trouble = bus.trouble
         cycle.stop()
         bus.close()
         fresh = DriveBus(self.parameters, self._period)
-        fresh.restarted = restarted
+        fresh.follow(bus)
         self._bus = fresh
         self._cycle = Cycle(fresh, self._period)
         try:

@@ -122,6 +122,45 @@ def test_an_adapter_that_is_pulled_out_and_put_in_again(drive, until, monkeypatc
     back(d, driver, until)
 
 
+def lose_the_bus(driver, until):
+    """Have our adapter go bus off."""
+    driver._bus._on_error_frame(0x40)
+    until(driver.trouble)
+    assert driver._bus.broken
+
+
+def beyond_the_wrap(d, driver, until):
+    """Have driver and drive past the end of the 32 bits of the position; return x of a whole."""
+    whole = 2 ** 32 * abs(driver._scaling.position)
+    driver._bus._unwrap._last += 2 ** 32        # as after so many turns
+    until(lambda: (driver.measure() or (0.0,))[0] > 0.9 * whole)
+    return whole
+
+
+def test_the_turns_are_not_forgotten_where_the_drive_did_not_restart(drive, until):
+    d = drive()
+    driver = moving(d, until)
+    driver.safe(0.0, 0.0)
+    whole = beyond_the_wrap(d, driver, until)
+    before = driver.measure()[0]
+    lose_the_bus(driver, until)
+    back(d, driver, until)
+    until(driver.measure)
+    assert driver.measure()[0] == pytest.approx(before, abs=0.1 * whole)
+
+
+def test_the_turns_of_a_drive_that_restarts_are_gone(drive, until):
+    d = drive()
+    driver = moving(d, until)
+    driver.safe(0.0, 0.0)
+    whole = beyond_the_wrap(d, driver, until)
+    lose_the_bus(driver, until)
+    driver._bus.restarted = True
+    back(d, driver, until)
+    until(driver.measure)
+    assert abs(driver.measure()[0]) < 0.1 * whole
+
+
 def test_receiving_that_fails_is_trouble_too(drive, until):
     import can
     d = drive()
