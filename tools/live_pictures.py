@@ -3,8 +3,8 @@
     python tools/live_pictures.py [--out DIR]
 
 Runs a recorded loop with its page, changes the dead-zone and kicks the plant through the page, and
-photographs it in a headless chromium: as a desk, a phone and a wall screen see it, light and dark;
-then the recording, laid over another run. Needs the extras `ros` and `test`, and chromium.
+photographs it in a headless chromium: as a desk sees it, light, and a phone, dark; then the
+recording, laid over another run. Needs the extras `ros` and `test`, and chromium.
 """
 
 from __future__ import annotations
@@ -72,15 +72,10 @@ def live(browser: Any, address: str, out: Path) -> None:
     until(page, "document.body.dataset.state === 'live'")
     page.screenshot(path=out / 'live_light.png')
     page.emulate_media(color_scheme='dark')
-    page.wait_for_timeout(400)
-    page.screenshot(path=out / 'live_dark.png')
     page.set_viewport_size({'width': 390, 'height': 844})
     page.wait_for_timeout(600)
     until(page, "document.body.dataset.state === 'live'")
     page.screenshot(path=out / 'live_phone.png')
-    page.set_viewport_size({'width': 3840, 'height': 2160})
-    page.wait_for_timeout(1500)
-    page.screenshot(path=out / 'live_wall.png')
     page.close()
 
 

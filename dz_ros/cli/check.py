@@ -1,7 +1,9 @@
 """``dz check``: what a configuration promises and what it does not, rule by rule.
 
-Exit code 0 where it may run, warnings or not; 1 where a rule finds an error, with which
-controller_node refuses to start (`controller.override_checks` starts it all the same).
+Exit code 0 where it may run, warnings or not; 1 where a rule finds an error. controller_node
+applies the same rules when it starts and refuses on the same errors
+(`controller.override_checks` starts it all the same). Of λ it only tries whether the loop is lost
+from x(0) with the one configured; how far that is from the limit is found here.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from dz_ros.cli.options import add_configuration, read_configuration
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design_rules import check
 from dz_ros.core.finding import ERROR, Finding, INFO, WARNING, worst
-from dz_ros.core.stability import lambda_limit
+from dz_ros.core.stability import has_slope, lambda_limit
 from dz_ros.errors import ConfigurationError
 
 FOUND_ERRORS = 1
@@ -54,9 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def stability_limit(configuration: Configuration) -> float | None:
     """Return the largest λ of a calm loop [1/s]; None where the law has no λ."""
-    if configuration.law.design is None or not hasattr(configuration.law.gains, 'lambda_'):
-        return None
-    return lambda_limit(configuration)
+    return lambda_limit(configuration) if has_slope(configuration) else None
 
 
 def format_findings(findings: Iterable[Finding]) -> str:

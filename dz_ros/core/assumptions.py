@@ -3,12 +3,14 @@
 (A1)–(A4) concern the dead-zone. Those on plant and reference, (A5)–(A8) in the paper, are given in
 our own words, by name instead of number: the state is measured, the structure is known, the input
 gain is positive, the reference and its derivatives are bounded. Of what a real plant does only the
-user can know; there a finding says "stated", elsewhere "holds" or "violated".
+user can know; there a finding says "stated", elsewhere "holds" or "violated". With the driver of a
+real device that is everything of dead-zone, plant and input gain: the numbers in the plant's
+section are a model. Where they contradict the bounds one of the two is wrong, which is a warning.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from dz_ros.core.along_reference import largest_derivatives
 from dz_ros.core.configuration import Configuration
@@ -31,16 +33,19 @@ def _extent(value: float, drift: tuple[float, ...]) -> tuple[float, float]:
 def _dead_zone(c: Configuration) -> Iterator[Finding]:
     """(A1)–(A4)."""
     zone, known = c.dead_zone, c.controller_settings
+    model = '' if c.simulated else "the plant's section has "
     yield Finding(INFO, '(A1)', 'holds: the law never sees what the dead-zone lets through')
     slopes = [*_extent(zone.m_r, zone.m_r_drift), *_extent(zone.m_l, zone.m_l_drift)]
-    if min(slopes) == max(slopes):
+    if min(slopes) != max(slopes):
+        yield Finding(WARNING, '(A2)', f'{_broken(c)}: {model}slopes {zone.m_r:g} on the right, '
+                      f'{zone.m_l:g} on the left, or drifting; the law runs unchanged, the '
+                      'theorem asks for one', {'m_r': zone.m_r, 'm_l': zone.m_l})
+    elif c.simulated:
         yield Finding(INFO, '(A2)', f'holds: the same slope {zone.m_r:g} on both sides',
                       {'m': zone.m_r})
     else:
-        yield Finding(WARNING, '(A2)', f'violated: slopes {zone.m_r:g} on the right, {zone.m_l:g} '
-                      'on the left, or drifting; the law runs unchanged, the theorem asks for one',
-                      {'m_r': zone.m_r, 'm_l': zone.m_l})
-    yield Finding(INFO, '(A3)', 'holds: b_r >= 0, b_l <= 0, m > 0')
+        yield Finding(INFO, '(A2)', 'stated: the device has the same slope on both sides')
+    yield Finding(INFO, '(A3)', f'{_kept(c)}: b_r >= 0, b_l <= 0, m > 0')
     outside = []
     for name, (low, high), bounds in (
             ('b_r', _extent(zone.b_r, zone.b_r_drift), known.b_r_bounds),
@@ -50,10 +55,34 @@ def _dead_zone(c: Configuration) -> Iterator[Finding]:
             outside.append(f'{name} in [{low:g}, {high:g}] but stated in '
                            f'[{bounds[0]:g}, {bounds[1]:g}]')
     if outside:
-        yield Finding(WARNING, '(A4)', 'violated: ' + '; '.join(outside),
-                      change='widen controller.b_r_bounds, b_l_bounds or m_bounds')
-    else:
+        yield Finding(WARNING, '(A4)', f'{_broken(c)}: {model}' + '; '.join(outside),
+                      change='widen controller.b_r_bounds, b_l_bounds or m_bounds' + _or_model(c))
+    elif c.simulated:
         yield Finding(INFO, '(A4)', 'holds: the dead-zone lies within the stated bounds')
+    else:
+        yield Finding(INFO, '(A4)', 'stated: the dead-zone of the device has b_r in '
+                      f'{_span(known.b_r_bounds)}, b_l in {_span(known.b_l_bounds)}, m in '
+                      f'{_span(known.m_bounds)}')
+
+
+def _kept(c: Configuration) -> str:
+    """Return the word for what the plant's section meets."""
+    return 'holds' if c.simulated else 'stated'
+
+
+def _broken(c: Configuration) -> str:
+    """Return the word for what the plant's section does not meet."""
+    return 'violated' if c.simulated else 'contradicted'
+
+
+def _or_model(c: Configuration) -> str:
+    """Return what else may be changed where the plant's section is only a model."""
+    return '' if c.simulated else ", or correct the plant's section, a model of the device"
+
+
+def _span(bounds: Sequence[float]) -> str:
+    """Return an interval in words."""
+    return f'[{bounds[0]:g}, {bounds[1]:g}]'
 
 
 def _plant(c: Configuration) -> Iterator[Finding]:
@@ -63,12 +92,15 @@ def _plant(c: Configuration) -> Iterator[Finding]:
                   'with constant weights a_i; what else acts on the plant is disturbance')
     low, high = c.controller_settings.b_bounds
     numbers = {'b': c.plant.b, 'b_min': low, 'b_max': high}
-    if low <= c.plant.b <= high:
+    if not low <= c.plant.b <= high:
+        yield Finding(WARNING, 'input gain', f'{_broken(c)}: b = {c.plant.b:g}, stated within '
+                      f'[{low:g}, {high:g}]', numbers, 'widen controller.b_bounds' + _or_model(c))
+    elif c.simulated:
         yield Finding(INFO, 'input gain',
                       f'holds: b > 0, {c.plant.b:g} within [{low:g}, {high:g}]', numbers)
     else:
-        yield Finding(WARNING, 'input gain', f'violated: b = {c.plant.b:g}, stated within '
-                      f'[{low:g}, {high:g}]', numbers, 'widen controller.b_bounds')
+        yield Finding(INFO, 'input gain', f'stated: b > 0, within [{low:g}, {high:g}]',
+                      {'b_min': low, 'b_max': high})
 
 
 def _reference(c: Configuration) -> Iterator[Finding]:
@@ -97,8 +129,9 @@ def check_projection(c: Configuration, design: Design) -> Iterator[Finding]:
             outside.append(f'{name} may have to be in [{ends[0]:.3g}, {ends[1]:.3g}], its bounds '
                            f'are [{box[0]:g}, {box[1]:g}]')
     if outside:
-        yield Finding(WARNING, 'projection', 'violated: ' + '; '.join(outside),
-                      change='widen controller.theta_min, theta_max, phi_min or phi_max')
+        yield Finding(WARNING, 'projection', f'{_broken(c)}: ' + '; '.join(outside),
+                      change='widen controller.theta_min, theta_max, phi_min or phi_max'
+                      + _or_model(c))
     else:
-        yield Finding(INFO, 'projection',
-                      'holds: the true parameters lie within the projection bounds')
+        yield Finding(INFO, 'projection', f'{_kept(c)}: the true parameters lie within the '
+                      'projection bounds')

@@ -19,7 +19,8 @@ An integral v_I' = r_I s inside the layer takes some of the room for d ≥ 1: th
 
     (z − 1)² z^d + T β [K (z − 1) + T r_I]
 
-have to stay inside the unit circle.
+have to stay inside the unit circle. Laws make r_I = K²/q, so a thinner layer has a faster
+integral; `largest_gain` is the K, `critical_epsilon` the ε at which both together leave it.
 """
 
 from __future__ import annotations
@@ -65,24 +66,48 @@ def largest_beta(slope: float, integral_rate: float, period: float, delay: int) 
     if integral_rate <= 0.0:
         return limit
 
-    def stable(beta: float) -> bool:
-        polynomial = np.zeros(delay + 3)
-        polynomial[:3] = 1.0, -2.0, 1.0
-        polynomial[-2:] += (period * beta * slope,
-                            period * beta * (period * integral_rate - slope))
-        return bool(np.abs(np.roots(polynomial)).max() < 1.0)
-
     low, high = 1e-3 * limit, 2.0 * limit
-    if not stable(low):
+    if not _calm(low, slope, integral_rate, period, delay):
         return 0.0
     while high - low > 1e-4 * limit:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if stable(middle) else (low, middle)
+        calm = _calm(middle, slope, integral_rate, period, delay)
+        low, high = (middle, high) if calm else (low, middle)
+    return low
+
+
+def _calm(beta: float, slope: float, integral_rate: float, period: float, delay: int) -> bool:
+    """Return whether the roots with an integral lie inside the unit circle."""
+    polynomial = np.zeros(delay + 3)
+    polynomial[:3] = 1.0, -2.0, 1.0
+    polynomial[-2:] += (period * beta * slope,
+                        period * beta * (period * integral_rate - slope))
+    return bool(np.abs(np.roots(polynomial)).max() < 1.0)
+
+
+def largest_gain(lead: float, divisor: float, beta: float, period: float, delay: int) -> float:
+    """Return the largest K without chatter [actuator unit / unit of s]; not positive = none.
+
+    Args:
+        lead: Λ_v,n φ̂ [actuator unit / unit of s].
+        divisor: q of an integral with r_I = K²/q; 0 = no integral.
+        beta: b m [unit of x^(n) / actuator unit].
+        period: T [s].
+        delay: Loop delay d [samples].
+    """
+    limit = chatter_limit(delay) / (beta * period)
+    if divisor <= 0.0:
+        return limit - lead
+    low, high = 0.0, 2.0 * limit - lead
+    while high - low > 1e-5 * limit:
+        gain = 0.5 * (low + high)
+        calm = _calm(beta, gain + lead, gain * gain / divisor, period, delay)
+        low, high = (gain, high) if calm else (low, gain)
     return low
 
 
 def critical_epsilon(k_star: float, k_d: float, lead: float, beta: float, period: float,
-                     delay: int) -> float:
+                     delay: int, divisor: float = 0.0) -> float:
     """Return ε_crit, the half-width below which the loop chatters; inf where none is enough.
 
     Args:
@@ -92,8 +117,9 @@ def critical_epsilon(k_star: float, k_d: float, lead: float, beta: float, period
         beta: b m [unit of x^(n) / actuator unit].
         period: T [s].
         delay: Loop delay d [samples].
+        divisor: q of an integral with r_I = K²/q; 0 = no integral.
     """
-    room = chatter_limit(delay) / (beta * period) - k_d - lead
+    room = largest_gain(lead, divisor, beta, period, delay) - k_d
     return k_star / room if room > 0.0 else math.inf
 
 

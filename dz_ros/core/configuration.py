@@ -93,6 +93,19 @@ class Configuration:
                         for end in (instant, instant + duration))
         return (first, after, acceleration) if acceleration != 0.0 else (0, 0, 0.0)
 
+    @property
+    def simulated(self) -> bool:
+        """Whether what is driven is simulated, so that the plant's section is all there is of it.
+
+        Of a driver that was not loaded for this configuration its class is asked, if installed.
+        """
+        try:
+            driver = (DRIVERS.load(self.driver_settings.name)
+                      if self.driver_class is Undriven else self.driver_class)
+        except UnknownNameError:
+            return False
+        return bool(driver.lockstep)
+
     @classmethod
     def from_flat(cls, flat: Mapping[str, Any], driven: bool = True) -> Configuration:
         """Make a configuration from dotted keys; what is not given has its default.

@@ -5,7 +5,8 @@
 disturbance; the set Ω_ε in the units of each state; how far the sampled loop is from chatter; what
 the guarantee does not cover.
 
-    k* ≥ ρ/m_min + Δ/(b_min m_min) + ρ_I      (18), with disturbance |·| ≤ Δ and an integral's ρ_I
+    k* ≥ ρ/m_min + Δ/(b_min m_min) + ρ_I      (18), with disturbance |·| ≤ Δ and an integral's ρ_I;
+                                              with a feed-forward m_max |d̂ − d|/m in place of ρ
     ω against K, and its noise against ε      (dz_ros.core.observation), where a driver observes
     (K + Λ_v,n φ̂) b m T < μ_d                 no chatter (dz_ros.core.boundary_layer)
     |x̃_i| ≤ 2^(i−1) λ^(i−n) ε                 Ω_ε (dz_ros.core.tracking)
@@ -16,21 +17,31 @@ or is for some plant within the bounds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 import math
+from typing import Any
 
 from dz_ros.core.along_reference import disturbance_along_reference
 from dz_ros.core.assumptions import check_assumptions, check_projection
-from dz_ros.core.boundary_layer import critical_epsilon, largest_beta
+from dz_ros.core.boundary_layer import (
+    chatter_limit,
+    critical_epsilon,
+    largest_beta,
+    largest_gain,
+)
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.deadzone import rho
 from dz_ros.core.finding import ERROR, Finding, INFO, WARNING
 from dz_ros.core.laws.base import Design
+from dz_ros.core.laws.extensions import largest_rest
 from dz_ros.core.observation import check_observer
 from dz_ros.core.tracking import guaranteed_bounds
 
 DELAYS = (0, 1, 2)
 """Loop delays for which the margin is stated [samples]; topics take one of the first two."""
+
+ROUNDING = 1e-9
+"""k* may miss its bound by this share: sums that are meant to be equal."""
 
 
 def least_robust_gain(bound: float, m_min: float, b_min: float = 1.0, disturbance: float = 0.0,
@@ -47,8 +58,19 @@ def least_robust_gain(bound: float, m_min: float, b_min: float = 1.0, disturbanc
     return bound / m_min + disturbance / (b_min * m_min) + reserve
 
 
+def dead_zone_bound(c: Configuration, design: Design) -> float:
+    """Return what of the dead-zone k* has to cover, ρ, or m_max |d̂ − d|/m with a feed-forward."""
+    known = c.controller_settings
+    if design.inverse:
+        return 0.0
+    if design.guess:
+        return known.m_bounds[1] * largest_rest(design.guess, known.b_r_bounds, known.b_l_bounds)
+    return rho(known.b_r_bounds[1], known.b_l_bounds[0], known.m_bounds[1])
+
+
 def check(configuration: Configuration, disturbance: float | None = None,
-          stability_limit: float | None = None) -> tuple[Finding, ...]:
+          stability_limit: float | None = None,
+          lost: bool | None = None) -> tuple[Finding, ...]:
     """Return what the rules say of a configuration, assumptions first.
 
     Args:
@@ -56,6 +78,8 @@ def check(configuration: Configuration, disturbance: float | None = None,
         disturbance: Bound on the disturbance to withstand [unit of x^(n)]; None = what the
             plant's model gives along the reference.
         stability_limit: `dz_ros.core.stability.lambda_limit` of it [1/s]; None = not computed.
+        lost: `dz_ros.core.stability.lost_from_start` of it, for where there is no time for the
+            limit; None = not computed.
     """
     c, design = configuration, configuration.law.design
     findings = list(check_assumptions(c))
@@ -68,32 +92,34 @@ def check(configuration: Configuration, disturbance: float | None = None,
     findings += [*check_projection(c, design), *_robust_gain(c, design, disturbance),
                  *_target(c, design), *_chatter(c, design),
                  *check_observer(c, c.make_driver().measured),
-                 *_stability(design, stability_limit), *_uncovered(c, design)]
+                 *_stability(c, design, stability_limit, lost), *_uncovered(c, design)]
     return tuple(findings)
 
 
 def _robust_gain(c: Configuration, design: Design, disturbance: float) -> Iterator[Finding]:
     """(18), with the disturbance and an integral on top."""
     known = c.controller_settings
-    bound = 0.0 if design.inverse else rho(known.b_r_bounds[1], known.b_l_bounds[0],
-                                           known.m_bounds[1])
+    bound = dead_zone_bound(c, design)
     m_min, b_min = known.m_bounds[0], known.b_bounds[0]
     least = least_robust_gain(bound, m_min, reserve=design.reserve)
     full = least_robust_gain(bound, m_min, b_min, disturbance, design.reserve)
     numbers = {'k': design.k, 'rho': bound, 'least': least, 'reserve': design.reserve,
                'disturbance': disturbance, 'least_with_disturbance': full}
     share = f' + {design.reserve:g} of the integral' if design.reserve else ''
+    name = 'rho' if not design.guess else 'what the feed-forward leaves, rho'
+    term = f'{name}/m_min{share}'
     covers = (f'{c.law.name} compensates the dead-zone itself' if design.inverse else
-              f'k* = {design.k:g} covers the dead-zone (rho/m_min{share} = {least:.4g})')
+              f'k* = {design.k:g} covers the dead-zone ({term} = {least:.4g})')
     if design.k <= 0.0 and not design.inverse:
         yield Finding(WARNING, '(18)', f'{c.law.name} has no robust term: nothing covers the '
                       f'dead-zone, rho/m_min = {least:.4g}', numbers, 'choose another law')
-    elif design.k < least:
+    elif design.k < least * (1.0 - ROUNDING):
         yield Finding(ERROR, '(18)', f'k* = {design.k:g} does not cover the dead-zone: '
-                      f'rho/m_min{share} = {least:.4g}', numbers,
+                      f'{term} = {least:.4g}', numbers,
                       f'raise k* to {least:.4g}, or narrow the bounds'
-                      + (', or give the integral less authority' if share else ''))
-    elif design.k < full:
+                      + (', or give the integral less authority' if share else '')
+                      + (', or guess the break points better' if design.guess else ''))
+    elif design.k < full * (1.0 - ROUNDING):
         covered = (design.k - least) * b_min * m_min
         yield Finding(WARNING, '(18)', f'{covers}; of the disturbance {disturbance:.4g} the '
                       f'robust term covers {covered:.4g}', numbers,
@@ -121,6 +147,7 @@ def _chatter(c: Configuration, design: Design) -> Iterator[Finding]:
     known, period = c.controller_settings, c.loop.period
     betas = tuple(b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
     slope = design.gain + design.lead
+    divisor = integral_divisor(design)
     for delay in sorted({*DELAYS, c.loop.delay}):
         largest = largest_beta(slope, design.integral_rate, period, delay)
         low, high = (beta / largest if largest > 0.0 else math.inf for beta in betas)
@@ -128,16 +155,20 @@ def _chatter(c: Configuration, design: Design) -> Iterator[Finding]:
                    'largest_beta': largest}
         words = (f'delay {delay}: the loop gain is {low:.2f} to {high:.2f} of where chatter begins'
                  if largest > 0.0 else f'delay {delay}: K is too high at any input gain')
-        change = 'make K = k_d + k*/ε smaller (a wider layer, a lower k_d), or the rate higher'
-        if design.epsilon > 0.0 and design.k > 0.0 and design.integral_rate <= 0.0:
+        steepest = largest_gain(design.lead, divisor, betas[1], period, delay)
+        numbers['largest_gain'] = steepest
+        if design.epsilon > 0.0 and design.k > 0.0:
             k_d = design.gain - design.k / design.epsilon
-            smallest = critical_epsilon(design.k, k_d, design.lead, betas[1], period, delay)
+            smallest = (critical_epsilon(design.k, k_d, design.lead, betas[1], period, delay,
+                                         divisor) if steepest > design.least_gain else math.inf)
             numbers['smallest_epsilon'] = smallest
+            margin = _largest_margin(c, design, steepest)
             if math.isfinite(smallest):
-                words += f'; smallest usable ε {smallest:.3g}'
-                change = f'make ε larger than {smallest:.3g}, lower k_d, or raise the rate'
-            else:
-                change = 'lower k_d or raise the rate: no ε is large enough'
+                words += f'; smallest usable ε {smallest:.3g} with K = {steepest:.4g}'
+                if margin is not None:
+                    numbers['largest_margin'] = margin
+                    words += f', controller.margin = {margin:.3g}' if margin <= 1.0 else ''
+        change = _calmer(c, delay, numbers)
         own = delay == c.loop.delay
         level = INFO
         if high >= 1.0:
@@ -146,9 +177,63 @@ def _chatter(c: Configuration, design: Design) -> Iterator[Finding]:
         yield Finding(level, 'chatter', words, numbers, '' if level == INFO else change)
 
 
-def _stability(design: Design, limit: float | None) -> Iterator[Finding]:
-    """λ against the limit found by simulation."""
+def derives_epsilon(gains: Any) -> bool:
+    """Return whether ε is made from margin, beta and design_delay instead of being a gain."""
+    return (bool(getattr(gains, 'automatic_epsilon', not hasattr(gains, 'epsilon')))
+            and all(hasattr(gains, key) for key in ('margin', 'beta', 'design_delay')))
+
+
+def integral_divisor(design: Design) -> float:
+    """Return q of r_I = K²/q; 0 = no integral."""
+    return design.gain ** 2 / design.integral_rate if design.integral_rate > 0.0 else 0.0
+
+
+def _largest_margin(c: Configuration, design: Design, steepest: float) -> float | None:
+    """Return the f with which a law that makes its own ε arrives at this K; None = it does not."""
+    gains = c.law.gains
+    if not derives_epsilon(gains):
+        return None
+    # K0 = f μ_d/(β T), in `extended` with the lead as a part of it.
+    lead = design.lead if hasattr(gains, 'epsilon') else 0.0
+    limit = chatter_limit(gains.design_delay) / (gains.beta * c.loop.period)
+    return float((steepest + lead) / limit)
+
+
+def _calmer(c: Configuration, delay: int, numbers: Mapping[str, float]) -> str:
+    """Return what makes K small enough, in keys the law has."""
+    smallest, steepest = numbers.get('smallest_epsilon'), numbers['largest_gain']
+    gains, known = c.law.gains, c.controller_settings
+    if smallest is None:
+        return ('lower k_d' + (f' below {steepest:.4g}' if steepest > 0.0 else '')
+                + ', or raise loop.rate')
+    if math.isinf(smallest):
+        return 'lower k_d or raise loop.rate: no ε is large enough'
+    if 'largest_margin' not in numbers:
+        layer = 'controller.epsilon' if hasattr(gains, 'epsilon') else 'ε'
+        return f'make {layer} larger than {smallest:.3g}, lower k_d, or raise loop.rate'
+    words = f'make controller.margin smaller than {numbers["largest_margin"]:.3g}'
+    if hasattr(gains, 'gain_cap'):
+        words += f' or controller.gain_cap smaller than {steepest:.4g}'
+    words += ', or raise loop.rate'
+    beta = known.b_bounds[1] * known.m_bounds[1]
+    if gains.design_delay < delay:
+        words += f'; controller.design_delay is {gains.design_delay} here, not {delay}'
+    if gains.beta < beta:
+        words += f'; controller.beta is {gains.beta:g}, b_max m_max {beta:g}'
+    return words
+
+
+def _stability(c: Configuration, design: Design, limit: float | None,
+               lost: bool | None) -> Iterator[Finding]:
+    """λ against the limit found by simulation, or whether it is beyond it."""
     if limit is None:
+        if lost is not None:
+            yield Finding(
+                ERROR if lost else INFO, 'λ', f'λ = {design.lambda_:g}; from this initial state '
+                + ('the sampled loop is lost' if lost else 'the sampled loop finds its reference'),
+                {'lambda': design.lambda_},
+                'lower λ (`dz check` finds its limit), start nearer to the reference, or project'
+                if lost else '')
         return
     numbers = {'lambda': design.lambda_, 'limit': limit}
     if math.isinf(limit):
@@ -160,8 +245,9 @@ def _stability(design: Design, limit: float | None) -> Iterator[Finding]:
         change = f'lower λ below {limit:.3g}, start nearer to the reference, or project'
     elif design.lambda_ > 0.8 * limit:
         level, change = WARNING, f'keep λ below {0.8 * limit:.3g}'
+    refused = ' or has no layer' if getattr(c.law.gains, 'automatic_epsilon', False) else ''
     yield Finding(level, 'λ', f'λ = {design.lambda_:g}; from this initial state the sampled loop '
-                  f'is lost above λ = {limit:.3g}', numbers, change)
+                  f'is lost{refused} above λ = {limit:.3g}', numbers, change)
 
 
 def _uncovered(c: Configuration, design: Design) -> Iterator[Finding]:
@@ -175,9 +261,10 @@ def _uncovered(c: Configuration, design: Design) -> Iterator[Finding]:
         gaps.append(f'saturation at {limit:g}')
     yield Finding(INFO, 'not covered', 'the theorem is of continuous time and says nothing about '
                   + ', '.join(gaps))
-    known = getattr(c.law.gains, 'v_max', None)
-    if limit > 0.0 and known is not None and not 0.0 < known <= limit:
+    known, used = getattr(c.law.gains, 'v_max', None), getattr(c.law.gains, 'anti_windup', True)
+    if limit > 0.0 and known is not None and not (used and 0.0 < known <= limit):
         yield Finding(WARNING, 'saturation', f'the actuator clips at {limit:g}, the law '
-                      + (f'believes {known:g}' if known else 'knows no limit')
+                      + (f'believes {known:g}' if known and used else 'knows no limit')
                       + ': estimates and integral may wind up', {'limit': limit, 'v_max': known},
-                      f'set controller.v_max to {limit:g}')
+                      f'set controller.v_max to {limit:g}'
+                      + ('' if used else ' and controller.anti_windup to true'))

@@ -14,6 +14,7 @@ from dz_ros.analysis.sequence import longest_stretch
 from dz_ros.core.dataset import RunData
 from dz_ros.errors import ConfigurationError
 from dz_ros.live.columns import Layout
+from dz_ros.live.counts import counts, NAMES
 from dz_ros.live.derived import Deriver
 from dz_ros.live.describe import facts
 from dz_ros.live.history import ANSWER, History, pack
@@ -24,6 +25,8 @@ from dz_ros.live.stated import brief, Stated
 Array = NDArray[np.float64]
 MOST_ROWS = 60000
 """More rows than this are thinned to those that a picture needs."""
+PIECE = 20000
+"""Rows sent at once where none is left out."""
 TELLING = ('x0', 'error', 'v', 's_over_epsilon')
 """Columns of which no peak is lost in thinning."""
 
@@ -105,23 +108,31 @@ class Recorded(Source):
     def hello(self) -> dict[str, Any]:
         """Return columns, names and lengths of the runs."""
         c = self._stated[0].configuration
-        rates = [1.0 / float(np.median(np.diff(table[:, 1]))) for table in self._tables]
         described = {**facts(c), 'parameters': []}
-        return {'rate': rates[0], **described, 'mode': 'run', 'runs': self._names,
+        return {**described, 'rate': self._rate(), 'mode': 'run', 'runs': self._names,
                 'title': ' and '.join(self._names), 'lengths': [len(table)
                                                                for table in self._tables],
                 'columns': self._layout.describe(c), 'signals': list(self._layout.signals),
                 'minutes': 0, 'namespace': ''}
 
+    def _rate(self) -> float:
+        """Return the samples a second of the first run."""
+        c = self._stated[0].configuration
+        return c.loop.rate if c is not None else 1.0 / float(
+            np.median(np.diff(self._tables[0][:, 1])))
+
     def now(self) -> list[dict[str, Any]]:
         """Return the events of the first run, in one text however many they are."""
         return [{'kind': 'events', 'events': self._events}]
 
-    async def ask(self, request: dict[str, Any]) -> bytes:
-        """Return the rows of a run between two instants, thinned where they are many.
+    async def ask(self, request: dict[str, Any]) -> bytes | dict[str, Any]:
+        """Return the rows of a run between two instants, or how long periods and trips took there.
+
+        Rows are thinned where they are many, except where so many are to be skipped: then the
+        next `PIECE` of them are sent as they are. Times are always counted over every row.
 
         Raises:
-            ConfigurationError: Not a run, or not instants.
+            ConfigurationError: Not a run, not instants, not a number to skip.
         """
         run = request.get('run')
         if isinstance(run, bool) or not isinstance(run, int) or not 0 <= run < len(self._tables):
@@ -134,8 +145,22 @@ class Recorded(Source):
             limits.append(value)
         table = self._tables[run]
         first, last = np.searchsorted(table[:, 1], limits)
+        if request.get('do') == 'histogram':
+            return {'histogram': {name: self._counts(table[first:last], name) for name in NAMES}}
+        if 'skip' in request:
+            skip = request['skip']
+            if isinstance(skip, bool) or not isinstance(skip, int) or not 0 <= skip < 2 ** 53:
+                raise ConfigurationError('skip', skip, 'must be a number of rows')
+            first = min(first + skip, last)
+            return pack(ANSWER, request['id'], table[first:min(last, first + PIECE)], run, 0.0)
         rows = self._thin(table[max(first - 1, 0):last + 1])
         return pack(ANSWER, request['id'], rows, run, 0.0)
+
+    def _counts(self, rows: Array, name: str) -> dict[str, Any]:
+        """Return how long something took in some rows."""
+        place = self._layout.place(name)
+        values = np.empty(0) if place is None else rows[:, place]
+        return counts(values, name, 1.0 / self._rate())
 
     def _thin(self, rows: Array) -> Array:
         """Return so few rows that a browser can keep them, the extremes of each stretch."""

@@ -35,7 +35,7 @@ class ControllerNode(GuardedNode):
 
     def __init__(self) -> None:
         super().__init__('controller_node', 'loop', 'structure', 'controller', 'safety')
-        self.vet(self.configuration)
+        refuse_bad_design(self, self.configuration)
         self._guard = ControllerGuard(self.configuration, self.changed, self._begins)
         self._order = self.configuration.plant.order
         self._pace = Pace(self.configuration.loop.period)
@@ -121,12 +121,12 @@ class ControllerNode(GuardedNode):
         return False
 
     def vet(self, configuration: Configuration) -> None:
-        """Ask the design rules.
+        """Ask the design rules; those that simulate only while the loop waits to start.
 
         Raises:
             ConfigurationError: They find an error.
         """
-        refuse_bad_design(self, configuration)
+        refuse_bad_design(self, configuration, self.supervisor.mode is Mode.WAITING)
 
     def reconfigure(self) -> None:
         """Use other gains and limits from the next sample on, and say so."""

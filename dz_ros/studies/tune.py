@@ -1,14 +1,17 @@
 """Gains proposed from bounds, rate, delay and effort, by the design rules (ours).
 
     d   = max(configured delay, 1): a loop over topics takes up to one sample
-    k*  = ρ/m_min + Δ/(b_min m_min)                           dead-zone and disturbance, (18)
+    k*  = ρ/m_min + Δ/(b_min m_min) + ρ_I                     dead-zone, disturbance, integral
     β   = b_max m_max,   K0 = f μ_d/(β T)                      the steepest layer with margin f
+    f   = the configured one where the law has one, at most 0.8 of where its integral chatters
     k_d = the configured one, at most K0/3                    so that the rest of K is k*/ε
-    ε   = k*/(K0 − k_d − (n−1) λ φ̂)                            not where the law makes its own
+    ε   = k*/(K0 − k_d − (n−1) λ φ̂)                            not where the law makes its own;
+          with an integral K0 is half of where the two together chatter
     γ, η = c k_d/(T max(|Y|² + u_d²)) along the reference,  c = 1/80
     φ̂   in [1/(b_max m_max), 1/(b_min m_min)], θ̂_i in a_i times that, each a fifth wider; they
           start in the middle
-    ρ0  = k* − ρ/m_min;  k_2 = 2 k_d;  v_max = the limit of the actuator
+    ρ0  = k* − ρ/m_min;  k_2 = 2 k_d, 0 for λ ≥ 8 where regressors hang on velocities
+    v_max = the limit of the actuator, or the configured one where the plant has none
     λ   = half the limit of stability at most, and what keeps peak |v| within the effort, both
           found by simulation; at most the configured λ times 4
 
@@ -22,10 +25,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from dz_ros.core.along_reference import disturbance_along_reference
-from dz_ros.core.boundary_layer import chatter_limit
+from dz_ros.core.boundary_layer import chatter_limit, largest_gain
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.deadzone import rho
-from dz_ros.core.design_rules import least_robust_gain
+from dz_ros.core.design_rules import (
+    dead_zone_bound,
+    derives_epsilon,
+    integral_divisor,
+    least_robust_gain,
+)
+from dz_ros.core.laws.base import Design
 from dz_ros.core.schema import fields
 from dz_ros.core.stability import lambda_limit
 from dz_ros.core.tracking import feed_forward_weights
@@ -38,6 +46,10 @@ ADAPTATION = 1.0 / 80.0
 """c of γ and η."""
 WIDER = 0.2
 """Projection bounds are this much wider than what the bounds of plant and dead-zone give."""
+OWN_MARGIN = 0.8
+"""A margin of the law's own may use this share of where its integral makes the loop chatter."""
+STEEP = 8.0
+"""λ from which on the outer gain k_2 raises the peak of plants with velocity regressors [1/s]."""
 STEPS = (4.0, 2.83, 2.0, 1.41, 1.0, 0.71, 0.5, 0.35, 0.25, 0.18, 0.125)
 """Multiples of the configured λ that are tried, steepest first."""
 
@@ -73,12 +85,12 @@ def tune(c: Configuration, effort: float = 0.0, disturbance: float | None = None
         ConfigurationError: A law without k*, or no λ keeps within the effort.
     """
     names = {item.name for item in fields(type(c.law.gains))}
-    if 'k_star' not in names:
+    if 'k_star' not in names or c.law.design is None:
         raise ConfigurationError('controller.law', c.law.name, 'has no k* to tune; choose robust, '
                                  'wang2004 or extended')
     effort = effort or c.plant_settings.command_limit or _present_peak(c)
     delta = disturbance_along_reference(c) if disturbance is None else disturbance
-    values = _from_rules(c, delta)
+    values = _from_rules(c, c.law.design, delta)
     reasons = {key: why for key, (_, why) in values.items() if key.partition('.')[2] in names}
     changes = {key: values[key][0] for key in reasons}
     tuned, why = _with_lambda(c, changes, effort)
@@ -91,26 +103,32 @@ def tune(c: Configuration, effort: float = 0.0, disturbance: float | None = None
     return Proposal(c, tuned, reasons, rows)
 
 
-def _from_rules(c: Configuration, delta: float) -> dict[str, tuple[Any, str]]:
+def _from_rules(c: Configuration, design: Design, delta: float) -> dict[str, tuple[Any, str]]:
     """Return key → value and reason of everything but λ (ε is made for λ = the configured)."""
     known, gains = c.controller_settings, c.law.gains
-    bound = rho(known.b_r_bounds[1], known.b_l_bounds[0], known.m_bounds[1])
+    bound = dead_zone_bound(c, design)
     low, high = (b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
     dead = least_robust_gain(bound, known.m_bounds[0])
-    k_star = least_robust_gain(bound, known.m_bounds[0], known.b_bounds[0], delta)
+    share = 0.0 if hasattr(gains, 'rho_0') else design.reserve      # ρ_0 is made to fit k*
+    k_star = least_robust_gain(bound, known.m_bounds[0], known.b_bounds[0], delta, share)
     delay = max(c.loop.delay, 1)
-    margin = getattr(gains, 'margin', MARGIN)
-    steepest = margin * chatter_limit(delay) / (high * c.loop.period)
+    derived = derives_epsilon(gains)
+    chatters = largest_gain(0.0, integral_divisor(design), high, c.loop.period, delay)
+    limit = chatter_limit(delay) / (high * c.loop.period)
+    margin = min(gains.margin, OWN_MARGIN * chatters / limit) if derived else MARGIN
+    steepest = margin * limit
     k_d = min(gains.k_d, steepest / 3.0)
     phi = (1.0 / high / (1.0 + WIDER), (1.0 + WIDER) / low)
     start = 0.5 * (1.0 / high + 1.0 / low)
     theta = [tuple(sorted((a * phi[0], a * phi[1]))) for a in c.plant.a]
     rate = ADAPTATION * k_d / (c.loop.period * _power(c))
     return {f'controller.{key}': item for key, item in {
-        'k_star': (k_star, f'rho/m_min = {dead:.4g} and {delta:.4g} of disturbance'),
+        'k_star': (k_star, f'rho/m_min = {dead:.4g} and {delta:.4g} of disturbance'
+                   + (f', {share:.4g} of the integral' if share else '')),
         'k_d': (k_d, f'at most a third of K0 = {steepest:.4g}'),
         'beta': (high, 'b_max m_max'),
         'design_delay': (delay, 'the loop takes up to this many samples'),
+        'margin': (margin, 'as configured, calm with the integral at this delay'),
         'gamma': (rate, 'slow against the layer, from max(|Y|² + u_d²) along the reference'),
         'eta': (rate, 'as gamma'),
         'phi_0': (start, 'middle of 1/(b m)'),
@@ -120,10 +138,24 @@ def _from_rules(c: Configuration, delta: float) -> dict[str, tuple[Any, str]]:
         'theta_min': ([item[0] for item in theta], 'least a_i/(b m), a fifth less'),
         'theta_max': ([item[1] for item in theta], 'largest a_i/(b m), a fifth more'),
         'rho_0': (k_star - dead, 'what k* has beyond rho/m_min'),
-        'k_2': (2.0 * k_d, '2 k_d'),
-        'v_max': (c.plant_settings.command_limit, "the actuator's limit, 0 = none"),
-        'epsilon': (0.0, f'a layer as steep as K0 = {steepest:.4g} allows at delay {delay}'),
-    }.items()}
+        'k_2': (2.0 * k_d, '2 k_d; 0 from λ = 8 on where regressors hang on velocities'),
+        'v_max': (c.plant_settings.command_limit or getattr(gains, 'v_max', 0.0),
+                  "the actuator's limit, 0 = none"),
+        'epsilon': (0.0, f'{MARGIN:g} of the slope at which the loop chatters at delay {delay}'),
+    }.items() if key not in (('epsilon',) if derived else ('margin', 'beta', 'design_delay'))}
+
+
+def feels_velocity(c: Configuration) -> bool:
+    """Return whether some regressor depends on more of the state than x itself."""
+    n, span = c.plant.order, c.loop.duration or 60.0
+    still, moving = ([0.0] * c.plant.regressor_count for _ in range(2))
+    for k in range(9):
+        x = [0.1 + item for item in c.trajectory(span * k / 8.0)[:n]]
+        c.plant.regressors(x, c.plant.constants, moving)
+        c.plant.regressors([x[0], *(item + 0.7 for item in x[1:])], c.plant.constants, still)
+        if moving != still:
+            return True
+    return False
 
 
 def _present_peak(c: Configuration) -> float:
@@ -147,7 +179,7 @@ def _with_lambda(c: Configuration, changes: dict[str, Any],
     """Return the configuration with the steepest λ that is calm and within the effort."""
     given = float(c.law.gains.lambda_)
     smallest = float('inf')
-    limit = 0.5 * lambda_limit(_at(c, changes, given))
+    limit = 0.5 * lambda_limit(_first(c, changes, given))
     for step in STEPS:
         slope = step * given
         if slope > limit:
@@ -169,8 +201,22 @@ def _with_lambda(c: Configuration, changes: dict[str, Any],
                              'more')
 
 
+def _first(c: Configuration, changes: dict[str, Any], given: float) -> Configuration:
+    """Return the configuration with the configured λ, or the next lower one it is possible with.
+
+    Raises:
+        ConfigurationError: It is possible with none.
+    """
+    for step in STEPS[STEPS.index(1.0):-1]:
+        try:
+            return _at(c, changes, step * given)
+        except ConfigurationError:
+            continue
+    return _at(c, changes, STEPS[-1] * given)
+
+
 def _at(c: Configuration, changes: dict[str, Any], slope: float) -> Configuration:
-    """Return the configuration with this λ and, where the law has one, the ε it allows.
+    """Return the configuration with this λ and, where the law has them, the ε and k_2 it allows.
 
     Raises:
         ConfigurationError: No ε is wide enough.
@@ -180,10 +226,14 @@ def _at(c: Configuration, changes: dict[str, Any], slope: float) -> Configuratio
         known = c.controller_settings
         beta = known.b_bounds[1] * known.m_bounds[1]
         lead = feed_forward_weights(slope, c.plant.order)[-1] * values['controller.phi_0']
-        steepest = MARGIN * chatter_limit(max(c.loop.delay, 1)) / (beta * c.loop.period)
+        divisor = 0.0 if c.law.design is None else integral_divisor(c.law.design)
+        steepest = MARGIN * (lead + largest_gain(lead, divisor, beta, c.loop.period,
+                                                 max(c.loop.delay, 1)))
         room = steepest - values['controller.k_d'] - lead
         if room <= 0.0:
             raise ConfigurationError('controller.lambda', slope, f'no layer is wide enough at '
                                      f'{c.loop.rate:g} Hz')
         values['controller.epsilon'] = values['controller.k_star'] / room
+    if slope >= STEEP and 'controller.k_2' in values and feels_velocity(c):
+        values['controller.k_2'] = 0.0
     return c.replace(**values)

@@ -10,6 +10,7 @@ from dz_ros.core.boundary_layer import (
     chatter_limit,
     critical_epsilon,
     largest_beta,
+    largest_gain,
     layer_gain,
     loop_gain,
 )
@@ -69,6 +70,26 @@ def test_integral_moves_the_limit(delay, printed):
 def test_integral_too_fast_for_the_delay_is_stable_nowhere():
     assert largest_beta(15.0, 15.0 ** 2 / 2.0, 0.1, 2) == 0.0
     assert largest_beta(15.0, 0.0, 0.1, 2) == pytest.approx(chatter_limit(2) / 1.5)
+
+
+@pytest.mark.parametrize('delay', [0, 1, 2, 3])
+@pytest.mark.parametrize(('divisor', 'lead', 'beta'), [
+    (0.0, 0.85, 1.25), (2.0, 0.85, 1.25), (2.0, 0.0, 0.4), (16.0, 3.0, 2.5)])
+def test_largest_gain_is_where_the_roots_leave_the_circle(delay, divisor, lead, beta):
+    """r_I follows K: below the gain the loop is calm, above it is not."""
+    found = largest_gain(lead, divisor, beta, 0.005, delay)
+    for share, calm in ((0.999, True), (1.001, False)):
+        gain = share * found
+        rate = gain ** 2 / divisor if divisor else 0.0
+        step = beta * 0.005
+        polynomial = np.polyadd(np.polymul([1.0, -2.0, 1.0], [1.0] + [0.0] * delay),
+                                [step * (gain + lead), step * (0.005 * rate - gain - lead)])
+        roots = np.roots(polynomial)
+        if not divisor:     # s alone: the integral's root stays at 1
+            roots = np.delete(roots, np.argmin(abs(roots - 1.0)))
+        assert bool(abs(roots).max() < 1.0) is calm
+    assert critical_epsilon(2.5, 10.0, lead, beta, 0.005, delay, divisor) == pytest.approx(
+        2.5 / (found - 10.0))
 
 
 def variation(values):

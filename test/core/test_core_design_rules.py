@@ -1,6 +1,6 @@
 """What the design rules say of configurations, and the stability limit on λ."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 import json
 import math
 
@@ -9,13 +9,16 @@ import pytest
 from dz_ros.core import along_reference
 from dz_ros.core.along_reference import disturbance_along_reference, largest_derivatives
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.deadzone import DeadZone
 from dz_ros.core.design_rules import check, least_robust_gain
 from dz_ros.core.finding import ERROR, Finding, INFO, WARNING, worst
 from dz_ros.core.laws import LAWS
+from dz_ros.core.laws.extensions import break_point
 from dz_ros.core.laws.pd import Pd
 from dz_ros.core.loop import simulate
 from dz_ros.core.plants import PLANTS
-from dz_ros.core.stability import is_lost, lambda_limit
+from dz_ros.core.stability import is_lost, lambda_limit, lost_from_start
+from dz_ros.errors import ConfigurationError
 
 
 def configuration(**values):
@@ -93,6 +96,49 @@ def test_rules(values, rule, level, part):
     assert bool(item.change) == (level != INFO) or rule == '(A2)'
 
 
+DEVICE = {'driver.name': 'serial', 'controller.law': 'robust'}
+
+
+@pytest.mark.parametrize('driven', [True, False])
+def test_of_a_real_device_the_plant_s_section_proves_nothing(driven):
+    """Neither for who drives it nor for the controller, which does not load the driver."""
+    device = Configuration.from_flat(DEVICE, driven)
+    assert not device.simulated
+    words = {item.rule: item.words for item in check(device)}
+    for rule in ('(A2)', '(A3)', '(A4)', 'input gain', 'state', 'structure', 'projection'):
+        assert words[rule].startswith('stated: '), rule
+    assert 'b_r in [0.1, 0.6]' in words['(A4)']
+    assert all(configuration(**{**DEVICE, 'driver.name': name}).simulated
+               for name in ('simulated', 'mock'))
+    absent = Configuration.from_flat({'driver.name': 'nowhere.at.all:Driver'}, driven=False)
+    assert not absent.simulated
+
+
+@pytest.mark.parametrize(('values', 'rule'), [
+    ({'plant.dead_zone.m_l': 0.9}, '(A2)'), ({'plant.dead_zone.b_r': 0.7}, '(A4)'),
+    ({'plant.b': 2.0}, 'input gain'), ({'controller.b_bounds': [0.2, 2.0]}, 'projection')])
+def test_a_model_outside_the_bounds_contradicts_them(values, rule):
+    item, = found(rule, **DEVICE, **values)
+    assert item.level == WARNING
+    assert item.words.startswith('contradicted: ')
+    assert "correct the plant's section" in item.change or rule == '(A2)'
+
+
+@pytest.mark.parametrize(('on', 'v_max', 'complains'), [
+    (False, 0.0, True), (False, 10.0, True), (True, 10.0, False), (True, 12.0, True)])
+def test_a_limit_the_law_does_not_use_is_no_cure(on, v_max, complains):
+    """With anti_windup off the law of the switches looks at no v_max."""
+    values = {'plant.command_limit': 10.0, 'controller.law': 'extended',
+              'controller.anti_windup': on, 'controller.v_max': v_max}
+    items = found('saturation', **values)
+    assert bool(items) is complains
+    for item in items:
+        assert 'controller.v_max to 10' in item.change
+        assert ('controller.anti_windup to true' in item.change) is not on
+        cured = {**values, 'controller.v_max': 10.0, 'controller.anti_windup': True}
+        assert found('saturation', **cured) == []
+
+
 @pytest.mark.parametrize(('values', 'levels'), [
     ({}, [INFO, INFO, INFO]),
     ({'controller.epsilon': 0.01}, [INFO, WARNING, INFO]),
@@ -111,6 +157,93 @@ def test_no_layer_is_wide_enough_at_a_rate_too_low():
     items = found('chatter', loop__rate=12.0)
     assert math.isinf(items[1].numbers['smallest_epsilon'])
     assert 'no ε is large enough' in items[1].change
+
+
+GUESSED = {'controller.law': 'extended', 'controller.dead_zone_feed_forward': True}
+
+
+@pytest.mark.parametrize(('b_r', 'b_l'), [(0.35, -0.4), (0.1, -0.1), (0.6, -0.7), (0.0, 0.0),
+                                          (2.0, -2.0)])
+def test_rule_18_of_a_guessed_break_point_is_what_the_feed_forward_leaves(b_r, b_l):
+    """Against the dead-zone itself: no v_d and no dead-zone within the bounds leave more."""
+    item, = found('(18)', **GUESSED, **{'controller.b_r_guess': b_r, 'controller.b_l_guess': b_l,
+                                        'controller.k_star': 4.0})
+    left = 0.0
+    for true_r in (0.1, 0.3, 0.6):
+        for true_l in (-0.7, -0.35, -0.1):
+            zone = DeadZone(m_r=1.25, m_l=1.25, b_r=true_r, b_l=true_l)
+            left = max(left, *(abs(zone(v + break_point(v, b_r, b_l, 0.1)) - 1.25 * v)
+                               for v in (0.001 * k for k in range(-3000, 3001))))
+    assert item.numbers['rho'] == pytest.approx(left, rel=0.005)
+    if b_r == 0.0:
+        assert left == pytest.approx(0.875)
+
+
+def test_a_bad_guess_is_an_error_and_a_good_one_needs_less_than_the_dead_zone():
+    item, = found('(18)', **GUESSED)
+    assert item.numbers['least'] < 0.6
+    item, = found('(18)', **GUESSED, **{'controller.b_r_guess': 3.0})
+    assert item.level == ERROR
+    assert 'what the feed-forward leaves' in item.words
+    assert 'guess the break points better' in item.change
+    off, = found('(18)', **{**GUESSED, 'controller.dead_zone_feed_forward': False,
+                            'controller.b_r_guess': 3.0})
+    assert off.numbers['least'] == pytest.approx(1.0294, abs=1e-4)
+
+
+ROBUST = {'controller.law': 'robust', 'controller.gain_cap': 1e4}
+INTEGRAL = {'controller.law': 'extended', 'controller.integral': True}
+
+
+@pytest.mark.parametrize('delay', [0, 1, 2])
+@pytest.mark.parametrize(('values', 'key'), [
+    (ROBUST, 'largest_margin'), (INTEGRAL, 'smallest_epsilon'),
+    ({**INTEGRAL, 'controller.automatic_epsilon': True}, 'largest_margin'),
+    ({'controller.law': 'wang2004'}, 'smallest_epsilon')])
+def test_the_smallest_layer_is_where_the_rule_begins_to_complain(delay, values, key):
+    """Of laws with an integral too, in the key that makes their ε; m small so that f < 1."""
+    values = {**values, 'loop.delay': delay, 'controller.m_bounds': [2.0, 4.0],
+              'controller.design_delay': min(delay, 1), 'controller.rho_0': 0.1}
+    number = found('chatter', **values)[delay].numbers
+    limit = number[key]
+    assert 0.0 < limit < 1.0
+    name = 'controller.margin' if key == 'largest_margin' else 'controller.epsilon'
+    for share, above in ((0.99, False), (1.01, True)):
+        item = found('chatter', **{**values, name: share * limit})[delay]
+        chatters = above if key == 'largest_margin' else not above
+        assert (item.numbers['share_high'] >= 1.0) is chatters
+        assert ('chatters' in item.words) is chatters
+        epsilon = configuration(**{**values, name: share * limit}).law.design.epsilon
+        assert (epsilon < item.numbers['smallest_epsilon']) is chatters
+
+
+@pytest.mark.parametrize(('values', 'parts'), [
+    ({'controller.law': 'robust', 'loop.delay': 3}, ('controller.margin', 'controller.gain_cap',
+                                                     'design_delay is 1 here, not 3')),
+    ({'controller.law': 'robust', 'loop.delay': 2, 'controller.b_bounds': [1.0, 3.0]},
+     ('controller.margin', 'controller.beta is 1.25, b_max m_max 3.75')),
+    ({'controller.law': 'extended', 'controller.automatic_epsilon': True, 'loop.delay': 5},
+     ('controller.margin',)),
+    ({'controller.law': 'wang2004', 'loop.delay': 4}, ('controller.epsilon larger than',)),
+    ({'controller.law': 'pd', 'loop.delay': 3, 'controller.k_d': 200.0}, ('k_d below 71.2',))])
+def test_advice_on_chatter_names_keys_the_law_has(values, parts):
+    item = found('chatter', **values)[-1]
+    assert all(part in item.change for part in parts)
+    known = configuration(**values).to_flat()
+    for word in item.change.replace(',', ' ').replace(';', ' ').split():
+        if word.startswith(('controller.', 'loop.')):
+            assert word in known
+
+
+def test_layer_of_a_law_nobody_knows_the_keys_of(monkeypatch):
+    """A law of one's own may make ε as it likes: advice without keys, no traceback."""
+    strange = replace(configuration().law.design, least_gain=20.0)
+    monkeypatch.setattr(Pd, 'design', strange)
+    item = found('chatter', controller__law='pd', loop__delay=4)[-1]
+    assert item.change.startswith('make ε larger than ')
+    monkeypatch.setattr(Pd, 'design', replace(strange, least_gain=1e4))
+    item = found('chatter', controller__law='pd', loop__delay=4)[-1]
+    assert math.isinf(item.numbers['smallest_epsilon'])
 
 
 @pytest.mark.parametrize(('values', 'certain'), [
@@ -160,6 +293,35 @@ def test_stability_limit_is_judged(limit, level):
     assert item.level == level
 
 
+@pytest.mark.parametrize(('lost', 'level'), [(True, ERROR), (False, INFO)])
+def test_without_a_limit_one_run_is_judged(lost, level):
+    item, = (item for item in check(configuration(), lost=lost) if item.rule == 'λ')
+    assert item.level == level
+    assert bool(item.change) is lost
+
+
+@pytest.mark.parametrize('law', LAWS.builtin)
+def test_a_loop_that_rests_at_its_reference_is_not_lost(law):
+    """Zero error, zero excursion: what noise and dead-zone make of it is not getting lost."""
+    values = {'controller__law': law, 'plant__model': 'servo', 'plant__x0': [0.0, 0.0],
+              'plant__noise': [1e-4, 1e-3], 'trajectory__amplitude': 0.0}
+    assert lost_from_start(configuration(**values)) is False
+    if law in ('wang2004', 'extended'):
+        assert lost_from_start(configuration(controller__law=law, controller__lambda=9.0)) is True
+
+
+def test_a_kick_that_comes_later_is_not_the_initial_state():
+    thrown = {'plant.kick': [9.2, 400.0, 0.5], 'loop.duration': 10.0}
+    assert is_lost(configuration(**thrown))
+    assert lost_from_start(configuration(**thrown)) is False
+    assert lambda_limit(configuration(**thrown)) == lambda_limit(configuration())
+
+
+def test_a_law_without_a_slope_has_no_such_rule(monkeypatch):
+    monkeypatch.setattr(Pd, 'design', None)
+    assert lost_from_start(configuration(controller__law='pd')) is None
+
+
 def test_a_stated_disturbance_replaces_the_model_s():
     item, = (item for item in check(configuration(), disturbance=2.0) if item.rule == '(18)')
     assert item.level == WARNING
@@ -191,6 +353,18 @@ def test_projection_cures_it():
     assert lambda_limit(configuration(controller__law='extended', controller__projection=True),
                         highest=20.0) == math.inf
     assert lambda_limit(configuration(controller__law='robust'), highest=20.0) == math.inf
+
+
+def test_a_slope_the_law_refuses_ends_the_search():
+    refusing = configuration(controller__law='extended', controller__projection=True,
+                             controller__automatic_epsilon=True, loop__rate=50.0,
+                             controller__k_d=5.0)
+    limit = lambda_limit(refusing)
+    assert 0.0 < limit < math.inf
+    item, = (item for item in check(refusing, stability_limit=limit) if item.rule == 'λ')
+    assert 'is lost or has no layer above' in item.words
+    with pytest.raises(ConfigurationError, match='no layer is wide enough'):
+        refusing.replace(**{'controller.lambda': 64.0})
 
 
 def test_a_hopeless_loop_has_no_stable_lambda():

@@ -6,7 +6,6 @@ from importlib.resources import files
 import json
 import os
 import shutil
-import threading
 import time
 
 import numpy as np
@@ -135,102 +134,6 @@ def with_page():
 
     run.texts, run.ended = texts, ended
     return run
-
-
-class Loopless:
-    """A server in a thread of its own, that a browser can look at and a test can freeze.
-
-    Attributes:
-        address: To open.
-        source: What it shows.
-    """
-
-    def __init__(self, source):
-        from dz_ros.live.server import Server
-
-        self.source = source
-        self._loop = asyncio.new_event_loop()
-        self._go, self._frozen, self._ended = (threading.Event() for _ in range(3))
-        self._go.set()
-        self._server = Server(source, Access())
-        self.address = ''
-        ready = threading.Event()
-        self._thread = threading.Thread(target=self._run, args=(ready,), daemon=True)
-        self._thread.start()
-        assert ready.wait(20.0)
-
-    def _run(self, ready):
-        self._loop.run_until_complete(self._serve(ready))
-
-    async def _serve(self, ready):
-        self.address = await self._server.start()
-        ready.set()
-        while not self._ended.is_set():
-            self._frozen.set()
-            self._go.wait()
-            self.source.add(20)
-            self._server.publish()
-            for message in self.source.now():
-                self._server.say(message)
-            await asyncio.sleep(0.1)
-        await self._server.close()
-
-    def freeze(self):
-        """Stop answering; connections stay."""
-        self._go.clear()
-        self._frozen.clear()
-        assert self._frozen.wait(20.0)
-
-    def thaw(self):
-        """Go on."""
-        self._go.set()
-
-    def end(self):
-        """Stop for good."""
-        self.thaw()
-        self._ended.set()
-        self._thread.join(20.0)
-        self._loop.close()
-
-
-class Fine(Puppet):
-    """A loop that always runs, as far as a page sees."""
-
-    def __init__(self):
-        super().__init__()
-        self.names = ('seq', 'stamp', 'published', 'x0', 'xd0', 'v', 'error', 's_over_epsilon',
-                      'interval', 'round_trip')
-        self.history = History(len(self.names), 5000)
-        self.rows = True
-        self.begun = clock()
-
-    def hello(self):
-        return {'mode': 'live', 'rate': 200.0, 'title': 'fine', 'namespace': '/', 'minutes': 1,
-                'columns': [{'name': name, 'unit': ''} for name in self.names], 'signals': [],
-                'bounds': {}, 'parameters': [], 'simulated': True, 'sections': {}}
-
-    def now(self):
-        node = {'name': 'plant_node', 'age': 0.1, 'gone': False, 'level': 0, 'message': 'well',
-                'mode': 'running', 'reason': '', 'values': {}}
-        return [{'kind': 'status', 'time': clock(), 'seq': self.history.head - 1, 'lost': 0,
-                 'stamp': clock() - self.begun, 'age': 0.0, 'rate': 200.0, 'nodes': [node],
-                 'recording': None, 'estop': False}]
-
-    def add(self, count):
-        if self.rows:
-            rows = np.zeros((count, len(self.names)))
-            rows[:, 0] = np.arange(self.history.head, self.history.head + count)
-            rows[:, 1] = clock() - self.begun + 0.005 * np.arange(1 - count, 1)
-            rows[:, 3] = np.sin(rows[:, 1])
-            self.history.append(rows)
-
-
-@pytest.fixture
-def loopless():
-    """Return a server without a loop behind it."""
-    found = Loopless(Fine())
-    yield found
-    found.end()
 
 
 @pytest.fixture(scope='module')

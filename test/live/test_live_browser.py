@@ -224,6 +224,27 @@ def test_two_viewers_agree_and_one_without_the_token_only_looks(open_page, loop)
     other.until("['live', 'fault'].includes(document.body.dataset.state)")
 
 
+def test_no_width_scrolls_sideways_while_a_loop_runs(open_page, loop):
+    page = open_page(loop[0], viewport={'width': 1400, 'height': 800})
+    wait_live(page)
+    for section in ('controller', 'trajectory'):
+        page.click(f'#section-{section} summary')
+    page.until("document.querySelectorAll('.nodes li').length >= 3")
+    page.until("document.querySelectorAll('.events li').length > 0")
+    page.fill('#kick-size', 'x' * 200)
+    page.click('#kick button')          # its refusal is one long word
+    page.until("document.querySelector('#kick-answer').innerText.includes('must be a number')")
+    for width in (320, 390, 768, 3840):
+        page.set_viewport_size({'width': width, 'height': 800})
+        page.until(f"document.querySelector('#figure-error canvas').clientWidth <= {width}")
+        page.until(f'document.documentElement.scrollWidth <= {width}')
+        for part in ('#estop', '#nodes', '#kick', '#section-controller', '#section-plant'):
+            box = page.locator(part).bounding_box()
+            assert box['width'] > 100, (width, part)
+            assert box['x'] >= 0, (width, part)
+            assert box['x'] + box['width'] <= width, (width, part)
+
+
 @pytest.mark.parametrize(('scheme', 'width'), [('light', 1400), ('dark', 390)])
 def test_no_serious_finding_on_accessibility_of_a_running_loop(
         open_page, loop, axe, scheme, width):

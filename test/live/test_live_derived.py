@@ -12,8 +12,10 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
 from dz_ros.core.loop import simulate
 from dz_ros.errors import ConfigurationError
+from dz_ros.live import counts as counts_module
 from dz_ros.live import recorded as recorded_module
 from dz_ros.live.columns import Layout
+from dz_ros.live.counts import counts
 from dz_ros.live.derived import Deriver
 from dz_ros.live.history import HEAD
 from dz_ros.live.recorded import Recorded
@@ -140,10 +142,38 @@ def test_a_long_run_is_thinned_without_losing_a_peak(monkeypatch):
         at = recorded._layout.place(name)
         assert np.nanmax(rows[:, at]) == np.nanmax(table[:, at])
         assert np.nanmin(rows[:, at]) == np.nanmin(table[:, at])
+    pieces, taken = [], 0
+    monkeypatch.setattr(recorded_module, 'PIECE', 90)
+    while len(piece := ask(**{'from': 1.0, 'to': 9.0, 'skip': taken})):
+        taken += len(piece)
+        pieces.append(piece)
+    assert len(pieces) > 10
+    whole = table[(table[:, 1] >= 1.0) & (table[:, 1] < 9.0)]
+    np.testing.assert_array_equal(np.concatenate(pieces), whole)
     part = ask(**{'from': 11.0, 'to': 12.0})
     inside = (table[:, 1] >= 11.0) & (table[:, 1] <= 12.0)
     assert len(part) == inside.sum() + 1
     for wrong in ({'run': 1}, {'run': True}, {'run': 0, 'from': 'x'}, {},
-                  {'run': 0, 'to': 10 ** 400}, {'run': 0, 'from': None}, {'run': 10 ** 400}):
+                  {'run': 0, 'to': 10 ** 400}, {'run': 0, 'from': None}, {'run': 10 ** 400},
+                  {'run': 0, 'skip': -1}, {'run': 0, 'skip': 1.5}, {'run': 0, 'skip': True}):
         with pytest.raises(ConfigurationError):
             asyncio.run(recorded.ask({'do': 'rows', 'id': 1, **wrong}))
+
+
+@pytest.mark.parametrize(('name', 'base'), [('interval', 0.005), ('round_trip', 0.0)])
+def test_times_are_counted_as_the_report_counts_them(name, base):
+    rng = np.random.default_rng(7)
+    values = np.concatenate([base + rng.exponential(1e-3, 5000), [np.nan, 0.0, -1.0],
+                             base + np.array([0.0011, 0.0049, 0.0051, 3.0])])
+    found = counts(values, name, 0.005)
+    good = values[values > 0.0]
+    assert found['count'] == len(good) == sum(found['bins'])
+    assert found['late'] == sum(value - base > 1e-3 for value in good)
+    assert found['too_late'] == sum(value - base > 0.005 for value in good)
+    assert 2 <= found['too_late'] < found['late']
+    assert found['p99'] == pytest.approx(np.quantile(good, 0.99), rel=2e-2)
+    assert found['max'] == base + 3.0
+    inside = (good >= found['low']) & (good < found['high'])
+    expected, _ = np.histogram(good[inside], counts_module.BINS, (found['low'], found['high']))
+    assert found['bins'][1:-1] == expected[1:-1].tolist()
+    assert counts(np.array([np.nan, 0.0]), name, 0.005) == {'count': 0}

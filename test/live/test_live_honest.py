@@ -1,9 +1,17 @@
 """What the page says when its server hangs, is slow or has nothing: in a real browser, no loop."""
 
+import asyncio
+import threading
+
+import numpy as np
 import pytest
 
+from dz_ros.errors import LoopError
 from dz_ros.live import viewer as viewer_module
+from dz_ros.live.access import Access
 from dz_ros.live.clock import clock
+from dz_ros.live.history import History
+from dz_ros.live.source import Source
 
 pytest.importorskip('aiohttp', reason='aiohttp is not installed: no page to serve')
 pytest.importorskip('playwright', reason='playwright is not installed')
@@ -11,6 +19,118 @@ pytestmark = pytest.mark.live
 
 WORD = "document.querySelector('#state-word').innerText"
 BUTTONS = "[...document.querySelectorAll('.panels button')]"
+
+
+class Loopless:
+    """A server in a thread of its own, that a browser can look at and a test can freeze.
+
+    Attributes:
+        address: To open.
+        source: What it shows.
+    """
+
+    def __init__(self, source):
+        from dz_ros.live.server import Server
+
+        self.source = source
+        self._loop = asyncio.new_event_loop()
+        self._go, self._frozen, self._ended = (threading.Event() for _ in range(3))
+        self._go.set()
+        self._server = Server(source, Access())
+        self.address = ''
+        ready = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(ready,), daemon=True)
+        self._thread.start()
+        assert ready.wait(20.0)
+
+    def _run(self, ready):
+        self._loop.run_until_complete(self._serve(ready))
+
+    async def _serve(self, ready):
+        self.address = await self._server.start()
+        ready.set()
+        while not self._ended.is_set():
+            self._frozen.set()
+            self._go.wait()
+            self.source.add(20)
+            self._server.publish()
+            for message in self.source.now():
+                self._server.say(message)
+            await asyncio.sleep(0.1)
+        await self._server.close()
+
+    def freeze(self):
+        """Stop answering; connections stay."""
+        self._go.clear()
+        self._frozen.clear()
+        assert self._frozen.wait(20.0)
+
+    def thaw(self):
+        """Go on."""
+        self._go.set()
+
+    def end(self):
+        """Stop for good."""
+        self.thaw()
+        self._ended.set()
+        self._thread.join(20.0)
+        self._loop.close()
+
+
+class Fine(Source):
+    """A loop that always runs, as far as a page sees."""
+
+    def __init__(self):
+        self.stopped, self.acted = [], []
+        self.names = ('seq', 'stamp', 'published', 'x0', 'xd0', 'v', 'error', 's_over_epsilon',
+                      'interval', 'round_trip')
+        self.history = History(len(self.names), 5000)
+        self.rows = True
+        self.begun = clock()
+
+    def hello(self):
+        return {'mode': 'live', 'rate': 200.0, 'title': 'fine', 'namespace': '/', 'minutes': 1,
+                'columns': [{'name': name, 'unit': ''} for name in self.names], 'signals': [],
+                'bounds': {}, 'parameters': [], 'simulated': True, 'sections': {}}
+
+    @property
+    def stops(self):
+        return len(self.stopped)
+
+    def estop(self, who):
+        self.stopped.append(who)
+        return {'message': 'stopped'}
+
+    async def act(self, _who, request, stops):
+        self.still(stops)
+        self.acted.append(request)
+        return {'message': 'done'}
+
+    async def ask(self, _request):
+        raise LoopError('nothing to ask for')
+
+    def now(self):
+        node = {'name': 'plant_node', 'age': 0.1, 'gone': False, 'level': 0, 'message': 'well',
+                'mode': 'running', 'reason': '', 'values': {}}
+        return [{'kind': 'status', 'time': clock(), 'seq': self.history.head - 1, 'lost': 0,
+                 'stamp': clock() - self.begun, 'age': 0.0, 'rate': 200.0, 'nodes': [node],
+                 'recording': None, 'estop': False}]
+
+    def add(self, count):
+        if self.rows:
+            rows = np.zeros((count, len(self.names)))
+            rows[:, 0] = np.arange(self.history.head, self.history.head + count)
+            rows[:, 1] = clock() - self.begun + 0.005 * np.arange(1 - count, 1)
+            rows[:, 3] = np.sin(rows[:, 1])
+            self.history.append(rows)
+
+
+@pytest.fixture
+def loopless():
+    """Return a server without a loop behind it."""
+    found = Loopless(Fine())
+    yield found
+    found.end()
 
 
 def live(page):

@@ -1,5 +1,7 @@
 """The page of recorded runs in a real browser: scrubbing, exporting, widths, accessibility."""
 
+import sys
+
 import numpy as np
 import pytest
 
@@ -73,6 +75,36 @@ def test_what_is_seen_is_exported(open_page, served, recorded, tmp_path):
     caught.value.save_as(tmp_path / 'seen.png')
     assert (tmp_path / 'seen.png').read_bytes()[:8] == b'\x89PNG\r\n\x1a\n'
     assert (tmp_path / 'seen.png').stat().st_size > 20000
+
+
+def test_of_a_thinned_run_times_are_counted_and_exported_over_every_row(
+        open_page, processes, recorded, tmp_path):
+    # The same server, that keeps fewer rows in the page.
+    fewer = ('import sys; from dz_ros.live import recorded; recorded.MOST_ROWS = 400; '
+             'recorded.PIECE = 300; from dz_ros.cli.main import main; sys.exit(main())')
+    addresses = [processes(*words, 'report', '--serve', recorded[0]).wait_for_line('http')
+                 for words in ((sys.executable, '-c', fewer), DZ)]
+    found = []
+    for address in addresses:
+        page = open_page(address.split()[2])
+        page.until('dzRos.app.stores[0]?.count > 100')
+        page.evaluate('dzRos.view.look(2, 8)')
+        page.until('dzRos.app.bars[0].found?.count > 1000 && dzRos.app.bars[0].found.count < 1300')
+        found.append(page.evaluate('dzRos.app.bars.map((bars) => [bars.found, '
+                                   'bars.words.textContent])'))
+        with page.expect_download() as caught:
+            page.click('#csv')
+        caught.value.save_as(tmp_path / 'seen.csv')
+        found[-1].append(np.genfromtxt(tmp_path / 'seen.csv', delimiter=',', names=True))
+    thinned, whole = found
+    assert len(thinned[2]) == len(whole[2]) == 1200
+    assert page.evaluate('dzRos.app.stores[0].whole')
+    for name in ('x0', 'v', 'seq'):
+        np.testing.assert_allclose(thinned[2][name], whole[2][name], rtol=1e-6)
+    for one, other in zip(thinned[:2], whole[:2], strict=True):
+        for name in ('count', 'late', 'too_late'):
+            assert one[0].get(name) == other[0].get(name)
+    assert 'too late' in thinned[0][1]
 
 
 def test_two_runs_lie_over_each_other(open_page, processes, recorded):

@@ -13,8 +13,6 @@ from dz_ros.analysis.whatif import plan
 from dz_ros.core.loop import simulate
 from dz_ros.files import load_configuration
 from dz_ros.live.history import HEAD
-from dz_ros.recording.cdr import ArrayCodec
-from dz_ros.recording.channels import CHANNELS
 from dz_ros.recording.reader import read_run
 
 pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
@@ -294,58 +292,3 @@ def test_a_page_shows_the_loop_of_its_own_namespace(processes, tmp_path):
                        if text['kind'] == 'event')
 
     asyncio.run(look())
-
-
-@pytest.mark.parametrize(('parameter', 'message'), [
-    ('port:=70000', 'port = 70000: must be 0 to 65535'), ('minutes:=0.0', 'minutes = 0.0'),
-    ('host:=no.such.host.invalid', "host = 'no.such.host.invalid'")])
-def test_bad_parameters_are_one_line(processes, parameter, message):
-    process = processes(*NODE, 'live_node', '--ros-args', '-p', parameter)
-    assert process.wait() == 2
-    assert message in process.output
-    assert 'Traceback' not in process.output
-
-
-def test_foxglove_gets_the_very_bytes(processes, tmp_path):
-    pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
-    process = processes(*DZ, 'run', 'servo', '--quiet', '--duration', '600', '--record',
-                        tmp_path / 'run')
-    server = processes(*NODE, 'foxglove_node', '--ros-args', '-p', 'foxglove_port:=0')
-    address = server.wait_for_line('foxglove: ').split()[-1].replace('ws://', 'http://')
-
-    async def look():
-        found = {}
-        async with aiohttp.ClientSession() as session, session.ws_connect(
-                address, protocols=('foxglove.sdk.v1', 'foxglove.websocket.v1')) as ws:
-            channels = {}
-            while len(found) < 5 or any(len(item) < 100 for item in found.values()):
-                message = await ws.receive(TIME_OUT)
-                if message.type is aiohttp.WSMsgType.TEXT:
-                    text = json.loads(message.data)
-                    for channel in text.get('channels', ()):
-                        channels[channel['id']] = channel
-                        await ws.send_json({'op': 'subscribe', 'subscriptions': [
-                            {'id': channel['id'], 'channelId': channel['id']}]})
-                elif message.data[0] == 1:
-                    channel = channels[int.from_bytes(message.data[1:5], 'little')]
-                    if channel['topic'] != '/events':
-                        found.setdefault(channel['topic'], []).append(
-                            (int.from_bytes(message.data[5:13], 'little'), message.data[13:]))
-        return channels, found
-
-    channels, found = asyncio.run(look())
-    process.interrupt()
-    data = read_run(tmp_path / 'run')
-    assert {item['topic'] for item in channels.values()} == {f'/{name}' for name in CHANNELS}
-    for item in channels.values():
-        expected = CHANNELS[item['topic'].strip('/')].type
-        assert (item['encoding'], item['schemaName'], item['schema']) == (
-            'cdr', expected.name, expected.definition)
-    for topic, messages in found.items():
-        channel = data.channels[topic.strip('/')]
-        decode = ArrayCodec(channel.labels).decode
-        rows = {row[0]: (row, when) for row, when in zip(
-            channel.values.tolist(), channel.publish_time.tolist(), strict=True)}
-        for when, payload in messages[:-20]:
-            numbers = list(decode(payload))
-            assert (numbers, when) == rows[numbers[0]]

@@ -6,6 +6,7 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.errors import ConfigurationError
+from dz_ros.files import load_configuration, shipped_configurations
 from dz_ros.nodes.start_checks import refuse_bad_design
 
 
@@ -14,12 +15,16 @@ class Listener:
 
     def __init__(self):
         self.lines = []
+        self.told = []
 
     def get_logger(self):
         return self
 
     def warning(self, text):
         self.lines.append(text)
+
+    def info(self, text):
+        self.told.append(text)
 
 
 def start(**values):
@@ -28,8 +33,55 @@ def start(**values):
     return node.lines
 
 
-def test_a_sound_design_is_silent():
+def test_a_sound_design_has_nothing_to_warn_of():
     assert start() == []
+
+
+def test_what_the_design_promises_is_told_in_a_line_a_finding():
+    node = Listener()
+    refuse_bad_design(node, Configuration.from_flat({'plant.noise': [1e-3, 1e-2]}))
+    assert len(node.told) == len(set(node.told)) <= 9
+    assert not any('\n' in line for line in node.told)
+    for part in ('assumptions: holds: (A1), (A2), (A3), (A4), input gain, reference; stated: '
+                 'state, structure', 'Ω: where', '|x̃2| <= 0.04 1/s', 'chatter: delay 1',
+                 'ε 0.0168',
+                 'λ: λ = 1; from this initial state the sampled loop finds its reference',
+                 'not covered: the theorem', 'measurement noise'):
+        assert sum(part in line for line in node.told) == 1, part
+
+
+def test_an_assumption_that_is_not_met_has_its_own_line():
+    node = Listener()
+    refuse_bad_design(node, Configuration.from_flat({'plant.dead_zone.b_r': 0.7}))
+    assert '(A4)' not in node.told[0]
+    assert [line for line in node.lines if 'design rule (A4): violated' in line] == node.lines
+    device = Listener()
+    refuse_bad_design(device, load_configuration('serial'))
+    assert 'stated: (A2), (A3), (A4), state, structure, input gain' in device.told[0]
+
+
+def test_a_slope_with_which_the_loop_is_lost_refuses():
+    node = Listener()
+    steep = Configuration.from_flat({'controller.lambda': 9.0})
+    with pytest.raises(ConfigurationError, match=r'λ = 9; from this .* loop is lost; lower'):
+        refuse_bad_design(node, steep)
+    assert node.told == node.lines == []        # the refusal is all there is to read
+    line, = start(**{'controller.lambda': 9.0, 'controller.override_checks': True})
+    assert 'λ (overridden error)' in line
+
+
+def test_gains_set_while_the_loop_runs_wait_for_no_simulation(monkeypatch):
+    monkeypatch.setattr('dz_ros.nodes.start_checks.lost_from_start', lambda _: pytest.fail('ran'))
+    node = Listener()
+    refuse_bad_design(node, Configuration.from_flat({'controller.lambda': 9.0}), starting=False)
+    assert node.told == node.lines == []
+    with pytest.raises(ConfigurationError, match='does not cover'):
+        refuse_bad_design(node, Configuration.from_flat({'controller.k_star': 1.0}), False)
+
+
+@pytest.mark.parametrize('name', shipped_configurations())
+def test_shipped_configurations_start(name):
+    refuse_bad_design(Listener(), load_configuration(name))
 
 
 def test_a_warning_is_logged_with_what_to_change():

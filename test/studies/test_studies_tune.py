@@ -10,9 +10,10 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.design_rules import check
 from dz_ros.core.finding import ERROR
 from dz_ros.core.loop import simulate
+from dz_ros.core.stability import lost_from_start
 from dz_ros.errors import ConfigurationError
 from dz_ros.files import load_configuration
-from dz_ros.studies.tune import tune
+from dz_ros.studies.tune import _at, feels_velocity, tune
 
 
 @pytest.fixture(autouse=True)
@@ -43,6 +44,80 @@ def test_no_rule_finds_an_error_and_the_loop_is_calm(name, overrides):
     assert all(item.level != ERROR for item in check(found.after))
     assert all(not row['lost'] for key, row in found.rows.items() if key.startswith('after'))
     assert set(found.reasons) <= set(found.after.to_flat())
+
+
+EXTENDED = ('controller.law=extended', 'controller.projection=true')
+WIDE = ('controller.theta_max=[400]', 'controller.phi_max=60')
+LAWS = {
+    'paper': ('controller.law=wang2004',),
+    'robust': ('controller.law=robust',),
+    'robust, steep': ('controller.law=robust', 'controller.margin=1.0', 'loop.delay=2',
+                      'controller.m_bounds=[1.0, 1.0]'),
+    'integral': (*EXTENDED, 'controller.integral=true', 'controller.anti_windup=true',
+                 'controller.v_max=40'),
+    'quick integral': (*EXTENDED, 'controller.integral=true', 'controller.integral_divisor=1.0'),
+    'automatic': (*EXTENDED, 'controller.automatic_epsilon=true', 'controller.integral=true',
+                  'controller.integral_divisor=2.0'),
+    'guessed': (*EXTENDED, 'controller.dead_zone_feed_forward=true', 'controller.b_r_guess=1.5'),
+}
+
+
+@pytest.mark.parametrize(('plant', 'law'), [
+    *(('wang2004', law) for law in LAWS), *(('zhang_feng1997', law) for law in LAWS),
+    ('servo', 'robust'), ('servo', 'integral'), ('first_order', 'robust'),
+    ('first_order', 'integral')])
+def test_whatever_is_proposed_may_start(law, plant):
+    """The controller's own rules, the run from x(0) included, find no error in any proposal."""
+    box = WIDE if plant == 'first_order' else ()
+    found = tuned(plant, *LAWS[law], *box)
+    assert [(item.rule, item.words) for item in check(
+        found.after, lost=lost_from_start(found.after)) if item.level == ERROR] == []
+    assert all(not row['lost'] for key, row in found.rows.items() if key.startswith('after'))
+
+
+def test_k_star_covers_the_integral_and_what_a_guess_leaves():
+    plain, integral = (tuned('wang2004', 'controller.law=extended', f'controller.integral={on}')
+                       for on in ('false', 'true'))
+    assert integral.after.law.gains.k_star - plain.after.law.gains.k_star == pytest.approx(1.47)
+    assert 'of the integral' in integral.reasons['controller.k_star']
+    bad = tuned('wang2004', *LAWS['guessed']).after.law.gains
+    assert bad.k_star > plain.after.law.gains.k_star
+
+
+@pytest.mark.parametrize(('name', 'feels'), [
+    ('robust', False), ('zhang_feng1997', True), ('servo', True), ('first_order', False)])
+def test_a_steep_slope_has_no_outer_gain_where_regressors_hang_on_velocities(name, feels):
+    steep = load_configuration(name, ['controller.law=robust', 'controller.lambda=10', *WIDE])
+    assert feels_velocity(steep) is feels
+    gentle = steep.replace(**{'controller.lambda': 1.0})
+    for c, outer in ((steep, not feels), (gentle, True)):
+        gains = tune_at(c).law.gains
+        assert gains.k_2 == (2.0 * gains.k_d if outer else 0.0)
+
+
+def tune_at(c):
+    """Return what is proposed at the configured λ itself."""
+    changes = {'controller.k_2': 2.0 * c.law.gains.k_d}
+    return _at(c, changes, c.law.gains.lambda_)
+
+
+def test_a_slope_without_a_layer_is_not_the_end():
+    """At 50 Hz and k_d = 5 no automatic ε is wide enough for the steeper slopes tried."""
+    words = ('controller.law=extended', 'controller.projection=true', 'loop.rate=50',
+             'controller.automatic_epsilon=true', 'controller.k_d=5')
+    assert tuned('wang2004', *words).after.law.gains.lambda_ > 0.0
+    steep = ('wang2004', 'loop.rate=50', 'controller.k_d=1', 'controller.lambda=40')
+    with pytest.raises(ConfigurationError):
+        _at(load_configuration(*steep[:1], [*steep[1:]]), {
+            'controller.k_d': 1.0, 'controller.phi_0': 0.85, 'controller.k_star': 2.5,
+            'controller.epsilon': 0.0}, 40.0)
+    assert tuned(*steep).after.law.gains.lambda_ < 40.0
+
+
+def test_a_limit_the_user_knows_is_kept():
+    assert tuned('robust', 'controller.v_max=25').after.law.gains.v_max == 25.0
+    known = tuned('robust', 'controller.v_max=25', 'plant.command_limit=20')
+    assert known.after.law.gains.v_max == 20.0
 
 
 def test_more_delay_means_a_wider_layer_and_ends_the_chatter():

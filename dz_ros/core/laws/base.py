@@ -53,8 +53,10 @@ class Design:
         target: Half-width of the set that the theorem lets s converge to [unit of s]; 0 = none.
         reserve: Share of k spent on something else than d/m, as an integral's authority ρ_I
             [actuator unit].
+        least_gain: What the law never lets `gain` fall below [actuator unit / unit of s].
         integral_rate: r_I of an integral of s inside the layer [actuator unit / unit of s / s].
         inverse: True where the law compensates the dead-zone itself, so that k need not.
+        guess: b̂_r, b̂_l, e0 of a dead-zone feed-forward [actuator unit]; empty = none.
         theta: Prior bounds of θ̂, (lowest, highest) of each; empty = not projected.
         phi: Prior bounds of φ̂; empty = not projected.
     """
@@ -67,8 +69,10 @@ class Design:
     lead: float
     target: float = 0.0
     reserve: float = 0.0
+    least_gain: float = 0.0
     integral_rate: float = 0.0
     inverse: bool = False
+    guess: tuple[float, ...] = ()
     theta: tuple[tuple[float, float], ...] = ()
     phi: tuple[float, ...] = ()
 

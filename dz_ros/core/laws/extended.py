@@ -147,6 +147,8 @@ class Extended(Law):
         if g.integral:
             found = replace(found, reserve=g.rho_i,
                             integral_rate=found.gain ** 2 / g.integral_divisor)
+        if g.dead_zone_feed_forward:
+            found = replace(found, guess=(g.b_r_guess, g.b_l_guess, g.e0))
         if g.projection:
             r = self.regressor_count
             found = replace(found, theta=tuple(zip(self._box[:r], self._box[r:2 * r],

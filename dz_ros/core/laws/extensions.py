@@ -23,6 +23,8 @@ from dataclasses import dataclass
 import math
 from typing import Any
 
+import numpy as np
+
 from dz_ros.core.laws.base import per_regressor
 from dz_ros.core.schema import parameter
 from dz_ros.errors import ConfigurationError
@@ -137,3 +139,31 @@ def break_point(v: float, b_r: float, b_l: float, e0: float) -> float:
     """Return b_r χ_r + b_l χ_l, what to add to v to leave the dead-zone on its side."""
     right = right_share(v, e0)
     return b_r * right + b_l * (1.0 - right)
+
+
+def largest_rest(guess: Sequence[float], b_r_bounds: Sequence[float],
+                 b_l_bounds: Sequence[float]) -> float:
+    """Return the largest |d̂ − d|/m that the feed-forward leaves to k* [actuator unit] (ours).
+
+    With δ = b̂_r χ_r + b̂_l χ_l the actuator gets v = v_d + δ; of m v_d it misses m (δ − b_r) where
+    v ≥ b_r, m (δ − b_l) where v ≤ b_l and m v_d between. Each is monotonic in b_r and b_l, so the
+    corners of their bounds are the worst; v_d is looked at on a grid.
+
+    Args:
+        guess: b̂_r, b̂_l, e0.
+        b_r_bounds: Known bounds of b_r (A4).
+        b_l_bounds: Known bounds of b_l (A4).
+    """
+    b_r, b_l, e0 = guess
+    far = 20.0 * e0 + max(b_r, -b_l, b_r_bounds[1], -b_l_bounds[0])
+    v_d = np.concatenate([np.linspace(-far, far, 8001), np.linspace(-20.0, 20.0, 4001) * e0])
+    right = 0.5 * (1.0 + np.tanh(v_d / e0))
+    delta = b_r * right + b_l * (1.0 - right)
+    v = v_d + delta
+    largest = 0.0
+    for true_r in b_r_bounds:
+        for true_l in b_l_bounds:
+            rest = np.where(v >= true_r, delta - true_r,
+                            np.where(v <= true_l, delta - true_l, v_d))
+            largest = max(largest, float(np.abs(rest).max()))
+    return largest

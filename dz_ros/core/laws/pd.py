@@ -1,8 +1,14 @@
-"""PD control, the first baseline (mathematics.md §8), for any order n (ours for n ≠ 2).
+"""PD control, the first baseline [astrom_hagglund1995], written in s (ours).
 
     v = −k_d s (+ x_d^(n) if feed_forward),   s = Λᵀ x̃;   for n = 2: −k_d (x̃' + λ x̃)
 
-Nothing adapts. Behind a dead-zone the error is of the order of its width over k_d λ.
+Any order n; for n = 2 the proportional gain is k_d λ, the derivative gain k_d. k_d = 10 is that of
+[wang2004], λ = 1 as for the other laws here (ours); feed_forward takes b m = 1 for granted and is
+off.
+
+Proven: nothing, here or in [wang2004]. Nothing adapts and no term covers the dead-zone, so not
+even a perfect model makes the error go to zero; behind a dead-zone alone it is of the order of
+its width over k_d λ.
 """
 
 from __future__ import annotations

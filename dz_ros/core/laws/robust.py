@@ -178,6 +178,7 @@ class Robust(Law):
         gain, epsilon = layer(g, self.period)
         found = adaptive_design(g, self.order, g.k_star, epsilon)
         return replace(found, gain=gain, target=OUTER * epsilon, reserve=g.rho_0,
+                       least_gain=LEAST_GAIN * g.k_d,
                        integral_rate=gain * gain / g.integral_divisor,
                        theta=tuple(zip(self._box[:r], self._box[r:2 * r], strict=True)),
                        phi=self._box[2 * r:])

@@ -15,21 +15,44 @@ function fileName(title, from, to, ending) {
   return `${safe}_${from.toFixed(2)}-${to.toFixed(2)}s.${ending}`;
 }
 
-export function csv(stores, title, from, to) {
-  stores.forEach((store, run) => {
-    const held = store.over(from, to);
+// Every row of the window; those of a run that is not here whole are fetched.
+export async function csv(stores, title, from, to, link) {
+  for (const [run, store] of stores.entries()) {
     const names = store.names;
-    const lines = [names.map((name) => (store.units[name] ? `${name} [${store.units[name]}]` : name))
-      .join(',')];
-    for (let row = held.at(from), end = held.at(to); row < end; row += 1) {
-      lines.push(names.map((name) => {
-        const value = held.data[name][row];
-        return Number.isNaN(value) ? '' : String(value);
-      }).join(','));
+    const parts = [`${names.map((name) => (store.units[name] ? `${name} [${store.units[name]}]`
+      : name)).join(',')}\n`];
+    if (store.whole === false) {
+      for (let skip = 0, count = 1; count; skip += count) {
+        const answer = await link.ask('rows', {run, from, to, skip});
+        if (!answer.ok) {
+          alert(`CSV: ${answer.message}`);
+          return;
+        }
+        count = answer.count;
+        parts.push(lines(count, names.length, (row, at) => answer.values[row * names.length + at]));
+      }
+    } else {
+      const held = store.over(from, to);
+      const first = held.at(from);
+      const columns = names.map((name) => held.data[name]);
+      parts.push(lines(held.at(to) - first, names.length, (row, at) => columns[at][first + row]));
     }
     save(fileName(stores.length > 1 ? `${title}_${run + 1}` : title, from, to, 'csv'),
-         new Blob([`${lines.join('\n')}\n`], {type: 'text/csv'}));
-  });
+         new Blob(parts, {type: 'text/csv'}));
+  }
+}
+
+function lines(rows, columns, value) {
+  const found = [];
+  for (let row = 0; row < rows; row += 1) {
+    const line = [];
+    for (let at = 0; at < columns; at += 1) {
+      const number = value(row, at);
+      line.push(Number.isNaN(number) ? '' : String(number));
+    }
+    found.push(`${line.join(',')}\n`);
+  }
+  return found.join('');
 }
 
 export function png(title, from, to) {

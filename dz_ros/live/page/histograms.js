@@ -4,12 +4,31 @@ import {colour} from './theme.js';
 import {make} from './words.js';
 
 const BINS = 48;
-const LATE = 0.001;     // s beyond the period: what counts as late everywhere in dz_ros
+const LATE = 0.001;     // s: what counts as late everywhere in dz_ros
+
+// What is drawn of some times; of a run that is not here whole the server tells the same.
+function counted(values, base, period) {
+  const count = values.length;
+  if (!count) return {count};
+  values.sort((one, other) => one - other);
+  const at = (share) => values[Math.min(count - 1, Math.floor(share * count))];
+  const beyond = (limit) => count - values.findLastIndex((value) => value <= limit) - 1;
+  const low = base ? Math.max(0, base - 2 * LATE) : 0;
+  const high = base ? base + 2 * LATE : Math.max(1.15 * at(0.99), 1e-6);
+  const bins = new Array(BINS).fill(0);
+  for (const value of values) {
+    const bin = Math.floor((value - low) / (high - low) * BINS);
+    bins[Math.min(Math.max(bin, 0), BINS - 1)] += 1;
+  }
+  return {count, p50: at(0.5), p99: at(0.99), max: values[count - 1], late: beyond(base + LATE),
+          too_late: beyond(base + period), low, high, bins};
+}
 
 export class Histogram {
-  constructor(place, id, title, name, middle) {
+  constructor(place, id, title, name, base, period) {
     this.name = name;
-    this.middle = middle;       // period: bars are of its neighbourhood; null: from 0
+    this.base = base;           // what is beyond it is late: the period, whose neighbourhood is drawn, or 0
+    this.period = period;
     this.canvas = make('canvas', {class: 'bars'});
     this.words = make('p', {class: 'bars-words'}, '–');
     const figure = make('section', {class: 'plot small', id: `figure-${id}`},
@@ -23,6 +42,11 @@ export class Histogram {
   }
 
   draw(store, from, to) {
+    if (store.whole === false) {        // thinned rows tell nothing of how often
+      this.paint(store.counted?.from === from && store.counted.to === to
+        ? store.counted[this.name] : null);
+      return;
+    }
     const held = store.over(from, to);
     const column = held.data[this.name];
     const values = [];
@@ -30,44 +54,33 @@ export class Histogram {
       const value = column[row];
       if (value > 0) values.push(value);
     }
-    this.paint(values);
+    this.paint(counted(values, this.base, this.period));
   }
 
-  paint(values) {
-    const {canvas, middle} = this;
+  paint(found) {
+    const {canvas, base} = this;
     const ratio = devicePixelRatio;
     const width = canvas.width = Math.max(canvas.clientWidth, 10) * ratio;
     const height = canvas.height = Math.max(canvas.clientHeight, 10) * ratio;
     const ctx = canvas.getContext('2d');
     ctx.clearRect(0, 0, width, height);
-    if (!values.length) {
-      this.words.textContent = 'no times in this span';
+    this.found = found;
+    if (!found?.count) {
+      this.words.textContent = found ? 'no times in this span' : '…';
       return;
     }
-    values.sort((one, other) => one - other);
-    const at = (share) => values[Math.min(values.length - 1, Math.floor(share * values.length))];
-    const late = middle === null ? 0
-      : values.length - values.findLastIndex((value) => value <= middle + LATE) - 1;
-    const most = values[values.length - 1];
-    this.words.textContent = `p50 ${ms(at(0.5))}, p99 ${ms(at(0.99))}, max ${ms(most)}`
-      + (middle === null ? '' : `; ${late} of ${values.length} late`);
+    const {low, high} = found;
+    this.words.textContent = `p50 ${ms(found.p50)}, p99 ${ms(found.p99)}, max ${ms(found.max)}; `
+      + `of ${found.count} ${found.late} late, ${found.too_late} too late`;
     this.canvas.setAttribute('aria-label', `${this.name}: ${this.words.textContent} ms`);
-    const low = middle === null ? 0 : Math.max(0, middle - 2 * LATE);
-    const high = middle === null ? Math.max(1.15 * at(0.99), 1e-6)
-      : Math.max(middle + 2 * LATE, 0);
-    const counts = new Array(BINS).fill(0);
-    for (const value of values) {
-      const bin = Math.floor((value - low) / (high - low) * BINS);
-      counts[Math.min(Math.max(bin, 0), BINS - 1)] += 1;
-    }
     const rem = ratio * (parseFloat(getComputedStyle(document.documentElement).fontSize) || 16);
     const pad = {left: 8 * ratio, right: 8 * ratio, bottom: 1.4 * rem, top: 4 * ratio};
     const span = width - pad.left - pad.right;
     const tall = height - pad.top - pad.bottom;
-    const top = Math.log10(1 + Math.max(...counts));
-    counts.forEach((count, bin) => {
+    const top = Math.log10(1 + Math.max(...found.bins));
+    found.bins.forEach((count, bin) => {
       const value = low + (bin + 0.5) / BINS * (high - low);
-      ctx.fillStyle = colour(middle !== null && value > middle + LATE ? '--red' : '--blue');
+      ctx.fillStyle = colour(value > base + LATE ? '--red' : '--blue');
       const bar = tall * Math.log10(1 + count) / top;
       ctx.fillRect(pad.left + bin * span / BINS, pad.top + tall - bar, span / BINS - ratio, bar);
     });

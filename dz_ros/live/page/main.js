@@ -50,8 +50,8 @@ function hello(message) {
   page.plots.replaceChildren();
   app.plots = new Plots(page.plots, message, view, () => events.marks(),
                         () => { app.dirty = true; });
-  app.bars = [new Histogram(page.plots, 'interval', 'Period', 'interval', 1 / rate),
-              new Histogram(page.plots, 'round_trip', 'Round trip', 'round_trip', null)];
+  app.bars = [new Histogram(page.plots, 'interval', 'Period', 'interval', 1 / rate, 1 / rate),
+              new Histogram(page.plots, 'round_trip', 'Round trip', 'round_trip', 0, 1 / rate)];
   app.tiles = new Tiles(page.tiles, {...message, units: app.stores[0].units});
   app.scrub.show(message.mode === 'run' ? app.stores : []);
   if (message.mode === 'run') load();
@@ -78,6 +78,7 @@ function detail(store, answer, from, to) {
   held.append(answer.values, answer.count);
   store.detail = Object.assign(held, {from, to});
   app.dirty = true;
+  barsAt = 0;
 }
 
 function rows(frame) {
@@ -171,7 +172,8 @@ function wire() {
   page.back.addEventListener('click', () => view.pan(-0.5));
   page.forth.addEventListener('click', () => view.pan(0.5));
   page.png.addEventListener('click', () => png(app.hello.title, ...view.window));
-  page.csv.addEventListener('click', () => csv(app.stores, app.hello.title, ...view.window));
+  page.csv.addEventListener('click', () => csv(app.stores, app.hello.title, ...view.window,
+                                               app.link));
   window.addEventListener('keydown', keys(view, step));
   theme.start(() => { app.plots?.redraw(); app.dirty = true; barsAt = 0; });
 }

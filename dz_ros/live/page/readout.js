@@ -3,6 +3,7 @@
 import {make, number, seconds, withUnit} from './words.js';
 
 const OLD = 1;          // s by which what is seen may be behind the server
+const WORDS = 0.2;      // s between two words of the server on the loop
 const FRESH = 0.5;      // s without a state that still count as live, at fast rates
 const BAD = ['fault', 'estop', 'lost'];
 
@@ -69,9 +70,10 @@ export function condition({link, hello, status, rowsAt, stores, view, finished})
   const told = link.time - status.time;     // how long ago what is said of the loop was sent
   const there = status.nodes.some((node) => !node.gone);
   if (told > OLD) return ['gone', 'OLD DATA', `what is heard is ${told.toFixed(1)} s old`, false];
-  const age = status.age + told;
+  // Until the next word is due the loop ages; a page or a network that stalls is not its silence.
+  const age = status.age + Math.min(told, WORDS);
   if (age > Math.max(FRESH, 5 / (hello.rate || 200))) {
-    return ['gone', finished ? 'LOOP ENDED' : 'LOOP GONE', `last data ${age.toFixed(1)} s ago`,
+    return ['gone', finished ? 'LOOP ENDED' : 'LOOP GONE', `last data ${(status.age + told).toFixed(1)} s ago`,
             there];
   }
   const shown = link.time - rowsAt;

@@ -64,6 +64,10 @@ export class Scrub {
     const margin = 0.5 * (to - from);
     for (const [run, store] of (this.stores || []).entries()) {
       if (store.whole) continue;
+      if (run === 0 && (store.counted?.from !== from || store.counted.to !== to)) {
+        const times = await this.link.ask('histogram', {run, from, to});
+        if (times.ok) store.counted = {from, to, ...times.histogram};
+      }
       if (store.detail && store.detail.from <= from && store.detail.to >= to) continue;
       const answer = await this.link.ask('rows', {run, from: from - margin, to: to + margin});
       if (answer.ok) this.loaded(store, answer, from - margin, to + margin);
