@@ -147,8 +147,8 @@ def write(lines: list[str], arguments: argparse.Namespace) -> None:
             'is no delay; with it such a plant may chatter, as `dz check` says of the worst '
             'cases.',
             '', *lines, '', f'Measured on {describe("numba", "numpy")}, '
-            f'{jobs} process{"es" * (jobs > 1)}. The rates hang on what else the machine was doing, '
-            'the shares do not.', '',
+            f'{jobs} process{"es" * (jobs > 1)}. The rates hang on what else the machine was '
+            'doing, the shares do not.', '',
             'The worst plant of each law, to be run by anyone: `dz simulate '
             'benchmarks/worst/wang2004.yaml`, `dz simulate benchmarks/worst/robust.yaml`.', '']
     (ROOT / 'docs' / 'robustness.md').write_text('\n'.join(text), encoding='utf-8')
