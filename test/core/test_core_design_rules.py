@@ -1,6 +1,6 @@
 """What the design rules say of configurations, and the stability limit on λ."""
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 import json
 import math
 
@@ -17,8 +17,6 @@ from dz_ros.core.laws.extensions import break_point
 from dz_ros.core.laws.pd import Pd
 from dz_ros.core.loop import simulate
 from dz_ros.core.plants import PLANTS
-from dz_ros.core.stability import is_lost, lambda_limit, lost_from_start
-from dz_ros.errors import ConfigurationError
 
 
 def configuration(**values):
@@ -191,61 +189,6 @@ def test_a_bad_guess_is_an_error_and_a_good_one_needs_less_than_the_dead_zone():
     assert off.numbers['least'] == pytest.approx(1.0294, abs=1e-4)
 
 
-ROBUST = {'controller.law': 'robust', 'controller.gain_cap': 1e4}
-INTEGRAL = {'controller.law': 'extended', 'controller.integral': True}
-
-
-@pytest.mark.parametrize('delay', [0, 1, 2])
-@pytest.mark.parametrize(('values', 'key'), [
-    (ROBUST, 'largest_margin'), (INTEGRAL, 'smallest_epsilon'),
-    ({**INTEGRAL, 'controller.automatic_epsilon': True}, 'largest_margin'),
-    ({'controller.law': 'wang2004'}, 'smallest_epsilon')])
-def test_the_smallest_layer_is_where_the_rule_begins_to_complain(delay, values, key):
-    """Of laws with an integral too, in the key that makes their ε; m small so that f < 1."""
-    values = {**values, 'loop.delay': delay, 'controller.m_bounds': [2.0, 4.0],
-              'controller.design_delay': min(delay, 1), 'controller.rho_0': 0.1}
-    number = found('chatter', **values)[delay].numbers
-    limit = number[key]
-    assert 0.0 < limit < 1.0
-    name = 'controller.margin' if key == 'largest_margin' else 'controller.epsilon'
-    for share, above in ((0.99, False), (1.01, True)):
-        item = found('chatter', **{**values, name: share * limit})[delay]
-        chatters = above if key == 'largest_margin' else not above
-        assert (item.numbers['share_high'] >= 1.0) is chatters
-        assert ('chatters' in item.words) is chatters
-        epsilon = configuration(**{**values, name: share * limit}).law.design.epsilon
-        assert (epsilon < item.numbers['smallest_epsilon']) is chatters
-
-
-@pytest.mark.parametrize(('values', 'parts'), [
-    ({'controller.law': 'robust', 'loop.delay': 3}, ('controller.margin', 'controller.gain_cap',
-                                                     'design_delay is 1 here, not 3')),
-    ({'controller.law': 'robust', 'loop.delay': 2, 'controller.b_bounds': [1.0, 3.0]},
-     ('controller.margin', 'controller.beta is 1.25, b_max m_max 3.75')),
-    ({'controller.law': 'extended', 'controller.automatic_epsilon': True, 'loop.delay': 5},
-     ('controller.margin',)),
-    ({'controller.law': 'wang2004', 'loop.delay': 4}, ('controller.epsilon larger than',)),
-    ({'controller.law': 'pd', 'loop.delay': 3, 'controller.k_d': 200.0}, ('k_d below 71.2',))])
-def test_advice_on_chatter_names_keys_the_law_has(values, parts):
-    item = found('chatter', **values)[-1]
-    assert all(part in item.change for part in parts)
-    known = configuration(**values).to_flat()
-    for word in item.change.replace(',', ' ').replace(';', ' ').split():
-        if word.startswith(('controller.', 'loop.')):
-            assert word in known
-
-
-def test_layer_of_a_law_nobody_knows_the_keys_of(monkeypatch):
-    """A law of one's own may make ε as it likes: advice without keys, no traceback."""
-    strange = replace(configuration().law.design, least_gain=20.0)
-    monkeypatch.setattr(Pd, 'design', strange)
-    item = found('chatter', controller__law='pd', loop__delay=4)[-1]
-    assert item.change.startswith('make ε larger than ')
-    monkeypatch.setattr(Pd, 'design', replace(strange, least_gain=1e4))
-    item = found('chatter', controller__law='pd', loop__delay=4)[-1]
-    assert math.isinf(item.numbers['smallest_epsilon'])
-
-
 @pytest.mark.parametrize(('values', 'certain'), [
     ({'loop.delay': 2, 'controller.epsilon': 0.018}, True),
     ({'loop.delay': 2, 'controller.epsilon': 0.03}, False),
@@ -286,42 +229,6 @@ def test_a_law_nobody_knows_is_said_to_be_unknown():
     assert [item.level for item in check(strange) if item.rule == 'law'] == [WARNING]
 
 
-@pytest.mark.parametrize(('limit', 'level'), [
-    (0.9, ERROR), (1.1, WARNING), (8.0, INFO), (math.inf, INFO)])
-def test_stability_limit_is_judged(limit, level):
-    item, = (item for item in check(configuration(), stability_limit=limit) if item.rule == 'λ')
-    assert item.level == level
-
-
-@pytest.mark.parametrize(('lost', 'level'), [(True, ERROR), (False, INFO)])
-def test_without_a_limit_one_run_is_judged(lost, level):
-    item, = (item for item in check(configuration(), lost=lost) if item.rule == 'λ')
-    assert item.level == level
-    assert bool(item.change) is lost
-
-
-@pytest.mark.parametrize('law', LAWS.builtin)
-def test_a_loop_that_rests_at_its_reference_is_not_lost(law):
-    """Zero error, zero excursion: what noise and dead-zone make of it is not getting lost."""
-    values = {'controller__law': law, 'plant__model': 'servo', 'plant__x0': [0.0, 0.0],
-              'plant__noise': [1e-4, 1e-3], 'trajectory__amplitude': 0.0}
-    assert lost_from_start(configuration(**values)) is False
-    if law in ('wang2004', 'extended'):
-        assert lost_from_start(configuration(controller__law=law, controller__lambda=9.0)) is True
-
-
-def test_a_kick_that_comes_later_is_not_the_initial_state():
-    thrown = {'plant.kick': [9.2, 400.0, 0.5], 'loop.duration': 10.0}
-    assert is_lost(configuration(**thrown))
-    assert lost_from_start(configuration(**thrown)) is False
-    assert lambda_limit(configuration(**thrown)) == lambda_limit(configuration())
-
-
-def test_a_law_without_a_slope_has_no_such_rule(monkeypatch):
-    monkeypatch.setattr(Pd, 'design', None)
-    assert lost_from_start(configuration(controller__law='pd')) is None
-
-
 def test_a_stated_disturbance_replaces_the_model_s():
     item, = (item for item in check(configuration(), disturbance=2.0) if item.rule == '(18)')
     assert item.level == WARNING
@@ -332,44 +239,6 @@ def test_worst():
     assert worst([]) == INFO
     assert worst([Finding(INFO, 'a', ''), Finding(WARNING, 'b', '')]) == WARNING
     assert worst([Finding(ERROR, 'a', ''), Finding(WARNING, 'b', '')]) == ERROR
-
-
-@pytest.mark.parametrize(('delay', 'first_lost'), [(0, 8.25), (1, 6.25), (2, 5.25)])
-def test_stability_limit_of_the_example(delay, first_lost):
-    """On a grid of 0.25 the first λ that diverges is 8.25, 6.25, 5.25."""
-    limit = lambda_limit(configuration(loop__delay=delay))
-    assert first_lost - 0.25 <= limit <= first_lost
-    assert is_lost(configuration(loop__delay=delay, controller__lambda=first_lost))
-    assert not is_lost(configuration(loop__delay=delay, controller__lambda=first_lost - 0.25))
-
-
-def test_stability_limit_does_not_hang_on_where_the_search_starts():
-    for start in (0.5, 7.9, 20.0):
-        limit = lambda_limit(configuration(controller__lambda=start))
-        assert limit == pytest.approx(8.05, abs=0.06)
-
-
-def test_projection_cures_it():
-    assert lambda_limit(configuration(controller__law='extended', controller__projection=True),
-                        highest=20.0) == math.inf
-    assert lambda_limit(configuration(controller__law='robust'), highest=20.0) == math.inf
-
-
-def test_a_slope_the_law_refuses_ends_the_search():
-    refusing = configuration(controller__law='extended', controller__projection=True,
-                             controller__automatic_epsilon=True, loop__rate=50.0,
-                             controller__k_d=5.0)
-    limit = lambda_limit(refusing)
-    assert 0.0 < limit < math.inf
-    item, = (item for item in check(refusing, stability_limit=limit) if item.rule == 'λ')
-    assert 'is lost or has no layer above' in item.words
-    with pytest.raises(ConfigurationError, match='no layer is wide enough'):
-        refusing.replace(**{'controller.lambda': 64.0})
-
-
-def test_a_hopeless_loop_has_no_stable_lambda():
-    hopeless = configuration(controller__k_d=5000.0, loop__delay=3, plant__x0=[-2.5, 200.0])
-    assert lambda_limit(hopeless, duration=1.0) == 0.0
 
 
 def test_a_reference_is_followed_once_and_asked_again_for_nothing(monkeypatch):
