@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from dz_ros.core.configuration import Configuration
 from dz_ros.core.design_rules import check
 from dz_ros.core.finding import ERROR, INFO, WARNING
 from dz_ros.core.laws import LAWS
