@@ -22,7 +22,7 @@ from dz_ros.errors import LoopError
 from dz_ros.nodes.base import SPIN_LIMIT
 from dz_ros.nodes.guarded import GuardedNode
 from dz_ros.nodes.progress import Progress
-from dz_ros.nodes.start_checks import refuse_bad_design
+from dz_ros.nodes.start_checks import log, refuse_bad_design
 
 GONE_NS = 5_000_000_000
 """In lockstep, a reference that does not come within this means that its sender is gone [ns]."""
@@ -35,7 +35,7 @@ class ControllerNode(GuardedNode):
 
     def __init__(self) -> None:
         super().__init__('controller_node', 'loop', 'structure', 'controller', 'safety')
-        refuse_bad_design(self, self.configuration)
+        self._design = refuse_bad_design(self.configuration)
         self._guard = ControllerGuard(self.configuration, self.changed, self._begins)
         self._order = self.configuration.plant.order
         self._pace = Pace(self.configuration.loop.period)
@@ -77,6 +77,8 @@ class ControllerNode(GuardedNode):
         self._publish_terms = self.offer(
             'terms', Terms.labels(self.configuration.law.signal_names))
         self.take('reference', Reference.labels(self._order), self._on_reference)
+        log(self, self._design)     # not before: one whose topics are taken says only that
+        self._design = []
         self._listening = False
         self._begins(self._guard.controller.count, self._guard.controller.memory)
 
@@ -126,7 +128,7 @@ class ControllerNode(GuardedNode):
         Raises:
             ConfigurationError: They find an error.
         """
-        refuse_bad_design(self, configuration, self.supervisor.mode is Mode.WAITING)
+        log(self, refuse_bad_design(configuration, self.supervisor.mode is Mode.WAITING))
 
     def reconfigure(self) -> None:
         """Use other gains and limits from the next sample on, and say so."""

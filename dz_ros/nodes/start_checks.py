@@ -18,16 +18,18 @@ from dz_ros.core.finding import ERROR, Finding, INFO
 from dz_ros.core.stability import lost_from_start
 from dz_ros.errors import ConfigurationError
 
+Line = tuple[bool, str]
+"""Whether it is a warning, and what it says."""
 
-def refuse_bad_design(node: Node, configuration: Configuration, starting: bool = True) -> None:
-    """Log what the design rules say; refuse what they call an error.
+
+def refuse_bad_design(configuration: Configuration, starting: bool = True) -> list[Line]:
+    """Return what the design rules say, to be logged; refuse what they call an error.
 
     Args:
-        node: Logs the findings.
         configuration: What is to run. `controller.override_checks` turns refusal into a warning;
             it is part of the configuration, so a recording says so.
         starting: False where the loop runs already: nothing is simulated, and only what has to
-            be complained of is logged.
+            be complained of is said.
 
     Raises:
         ConfigurationError: A rule finds an error and nothing overrides it.
@@ -40,13 +42,18 @@ def refuse_bad_design(node: Node, configuration: Configuration, starting: bool =
                 'controller.law', configuration.law.name,
                 f'design rule {finding.rule}: {finding.words}; {finding.change}; or start it all '
                 'the same with controller.override_checks: true')
-    if starting:
-        node.get_logger().info(f'design rules, assumptions: {_assumptions(findings)}')
-    for finding in findings:
-        if finding.level != INFO:
-            node.get_logger().warning(_line(finding))
-        elif starting and not _verdict(finding):
-            node.get_logger().info(_line(finding))
+    lines = [(False, f'design rules, assumptions: {_assumptions(findings)}')] if starting else []
+    return lines + [(finding.level != INFO, _line(finding)) for finding in findings
+                    if finding.level != INFO or (starting and not _verdict(finding))]
+
+
+def log(node: Node, lines: Iterable[Line]) -> None:
+    """Log what was said."""
+    for warns, text in lines:
+        if warns:
+            node.get_logger().warning(text)
+        else:
+            node.get_logger().info(text)
 
 
 def _verdict(finding: Finding) -> str:
