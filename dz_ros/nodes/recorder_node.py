@@ -69,23 +69,24 @@ class RecorderNode(LoopNode):
         self._writer = QueuedWriter(RunWriter(self._directory, info, {}))
         self._arrivals = Arrivals(_epoch(), time.monotonic_ns())
         self._batch: list[Arrival] = []
+        # Who listens first is served first: where the loop waits for the recorder, it comes last.
+        waited_for = self.get_name() in self.configuration.loop.peers
+        self._held: list[str] = []
+        self._held_until = time.monotonic() + HOLD
         for name, channel in CHANNELS.items():
-            topic = self.resolve_topic_name(name)
             qos = channel.qos
             if self.lockstep and name != 'events':      # what topics.LOCKSTEP offers
                 qos = replace(qos, history='keep_all', depth=0)
-            self._writer.add_topic(topic, channel.type.name, qos)
-        # Who listens first is served first: where the loop waits for the recorder, it comes last.
-        waited_for = self.get_name() in self.configuration.loop.peers
-        self._held = [name for name in CHANNELS if waited_for and topics.LISTENERS.get(name)]
-        self._held_until = time.monotonic() + HOLD
-        for name in CHANNELS:
-            if name not in self._held:
+            self._writer.add_topic(self.resolve_topic_name(name), channel.type.name, qos)
+            if waited_for and name in topics.LISTENERS:
+                self._held.append(name)
+            else:
                 self._listen(name)
         self._stored = 0
         self._diagnosing = Diagnosing(self, self._report)
 
     def _listen(self, name: str) -> None:
+        """Have a topic's messages taken from now on."""
         topic = self.resolve_topic_name(name)
         self._taker.subscribe(topics.TYPES[name], topic, topics.everything(name, self.lockstep),
                               self._storer(name, topic))
