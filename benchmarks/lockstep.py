@@ -1,10 +1,12 @@
 """Steps per second of the loop in lockstep over DDS, recorded, beside bare two-process echoes.
 
 The echoes are the least a step can be: two processes, the same bytes by the same client library,
-executor and quality of service, no number computed, nobody recording.
+executor and quality of service, no number computed, nobody recording unless it is said.
 
     echo of all messages    one side sends state, truth and the clock's time, the other answers
-                            with command, terms and reference: all that a step of the loop sends
+                            with command, terms and reference: all that a step of the loop sends;
+                            also recorded by our recorder, as the loop is, to see what recording
+                            alone costs, and with what our nodes ask of the middleware
     echo of state, command  the two that have to wait for each other
 
 Loop and echoes take turns, so that they meet the same machine. On a busy machine the ratio says
@@ -16,11 +18,10 @@ more than the speed.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-import contextlib
-import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
 import re
+import signal
 import statistics
 import subprocess
 import sys
@@ -31,12 +32,16 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from benchmarks.machine import describe  # noqa: E402
+from benchmarks.speed_kit.rows import Row, say, show  # noqa: E402
+from benchmarks.speed_kit.running import environment  # noqa: E402
 from dz_ros.core.records import Command, Reference, State, Terms, Truth  # noqa: E402
 from dz_ros.recording.cdr import ArrayCodec  # noqa: E402
 
 RATE = 200.0
 """Samples per second of loop time in the configuration measured."""
 TARGET_STEPS, TARGET_RATIO = 5.0 * RATE, 0.6
+
+
 def payload(labels: tuple[str, ...]) -> bytes:
     """Return the bytes of a record with these labels."""
     return ArrayCodec(labels).encode([0.0] * len(labels))
@@ -48,6 +53,8 @@ BACK = {'command': payload(Command.labels()),
         'terms': payload(Terms.labels(('theta1', 'theta2', 'phi'))),
         'reference': payload(Reference.labels(2))}
 """Topic → bytes, the one that the other side waits for first."""
+RECORDED = 5
+"""Messages of an echo that the recorder knows; it takes no note of the clock."""
 TIME_OUT = 180.0
 
 
@@ -57,8 +64,8 @@ def loop(duration: float, record: bool) -> float:
         words = ['--record', str(Path(folder) / 'run')] if record else []
         done = subprocess.run(
             [sys.executable, '-m', 'dz_ros', 'run', '--lockstep', '--duration', str(duration),
-             '--quiet', *words], cwd=ROOT, capture_output=True, text=True, check=False,
-            timeout=TIME_OUT)
+             '--quiet', *words], cwd=ROOT, env=environment(), capture_output=True, text=True,
+            check=False, timeout=TIME_OUT)
         found = re.search(r'(\d+) per second', done.stdout)
         if done.returncode or found is None:
             sys.exit(done.stdout + done.stderr)
@@ -67,17 +74,18 @@ def loop(duration: float, record: bool) -> float:
         return float(found[1])
 
 
-def echo(count: int, whole: bool) -> float:
+def echo(count: int, whole: bool, profile: bool = False) -> float:
     """Return round trips per second of a bare echo, of all messages or of two.
 
     Both sides are processes of their own: a second life of rclpy in one process is slower.
     """
     size = len(FORTH) if whole else 1
     side = [sys.executable, __file__, '--side', str(size)]
-    answering = subprocess.Popen(side, cwd=ROOT)
+    env = environment(profile=profile)
+    answering = subprocess.Popen(side, cwd=ROOT, env=env)
     try:
-        done = subprocess.run([*side, '--count', str(count)], cwd=ROOT, capture_output=True,
-                              text=True, check=False, timeout=2.0 * TIME_OUT)
+        done = subprocess.run([*side, '--count', str(count)], cwd=ROOT, env=env,
+                              capture_output=True, text=True, check=False, timeout=2.0 * TIME_OUT)
     finally:
         answering.terminate()
         answering.wait(TIME_OUT)
@@ -86,27 +94,54 @@ def echo(count: int, whole: bool) -> float:
     return float(done.stdout)
 
 
+def recorded_echo(count: int) -> float:
+    """Return round trips per second of an echo of all messages beside our recorder."""
+    with tempfile.TemporaryDirectory() as folder:
+        recorder = subprocess.Popen(
+            [sys.executable, '-m', 'dz_ros.nodes.main', 'recorder_node', '--ros-args', '-r',
+             '__ns:=/echo', '-p', 'loop.timing:=lockstep', '-p', f'directory:={folder}/run'],
+            cwd=ROOT, env=environment(), stderr=subprocess.PIPE, text=True)
+        try:
+            speed = echo(count, True)
+        finally:
+            recorder.terminate()
+            _, said = recorder.communicate(timeout=TIME_OUT)
+    found = re.search(r'(\d+) messages', said)
+    if found is None or int(found[1]) < count * RECORDED:
+        sys.exit(f'the echo was not recorded whole: {said}')
+    return speed
+
+
 class Side:
     """One of the two: what it sends, what it hears."""
 
     def __init__(self, sends: Sequence[tuple[str, bytes]], hears: Sequence[str]) -> None:
         import rclpy
+        from rclpy.signals import SignalHandlerOptions
         from std_msgs.msg import Float64MultiArray
 
         from dz_ros.nodes.base import _executor
         from dz_ros.nodes.topics import LOCKSTEP
 
-        rclpy.init()
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+        self.told = False
+        signal.signal(signal.SIGTERM, self.tell)
         self.node = rclpy.create_node(f'echo_{sends[0][0]}')
         self.executor = _executor()
         self.executor.add_node(self.node)
-        self.outputs = [(self.node.create_publisher(Float64MultiArray, f'echo/{name}', LOCKSTEP)
-                         .publish, data) for name, data in sends]
+        self.publishers = [self.node.create_publisher(Float64MultiArray, f'echo/{name}', LOCKSTEP)
+                           for name, _ in sends]
+        self.outputs = [(publisher.publish, data) for publisher, (_, data)
+                        in zip(self.publishers, sends, strict=True)]
         self.heard = self.others = 0
         self.answering = False
         for i, name in enumerate(hears):
             self.node.create_subscription(Float64MultiArray, f'echo/{name}', self.other if i
                                           else self.first, LOCKSTEP, raw=True)
+
+    def tell(self, *_: object) -> None:
+        """End."""
+        self.told = True
 
     def send(self) -> None:
         """Send one of each."""
@@ -145,12 +180,9 @@ class Side:
 
     def answer(self) -> None:
         """Answer until told to end."""
-        from rclpy.executors import ExternalShutdownException
-
         self.answering = True
-        with contextlib.suppress(ExternalShutdownException):
-            while True:
-                self.executor.spin_once(timeout_sec=0.05)
+        while not self.told:
+            self.executor.spin_once(timeout_sec=0.05)
 
     def __enter__(self) -> Side:
         return self
@@ -158,13 +190,58 @@ class Side:
     def __exit__(self, *_: object) -> None:
         import rclpy
 
+        from dz_ros.nodes.base import deliver
+
+        deliver(*self.publishers)
         self.executor.remove_node(self.node)
         self.node.destroy_node()
         rclpy.try_shutdown()
 
 
+def measure(quick: bool, repetitions: int = 5, duration: float = 15.0) -> list[Row]:
+    """Return the speed of the loop in lockstep against real time and the echoes, in turns."""
+    repetitions = 2 if quick else repetitions
+    count = round(duration * RATE)
+    ways: dict[str, Callable[[], float]] = {
+        'echo': lambda: echo(count, True),
+        'recorded': lambda: loop(duration, True),
+        'recorded echo': lambda: recorded_echo(count),
+        'unrecorded': lambda: loop(duration, False),
+        'profiled echo': lambda: echo(count, True, True),
+        'echo of two': lambda: echo(count, False)}
+    speeds: dict[str, list[float]] = {name: [] for name in ways}
+    for turn in range(repetitions):
+        for name, way in ways.items():
+            speeds[name].append(way())
+        say(f'turn {turn + 1} of {repetitions}, steps per second: ' + ', '.join(
+            f'{name} {found[-1]:.0f}' for name, found in speeds.items()))
+
+    def words(name: str) -> str:
+        found = speeds[name]
+        return (f'{statistics.median(found):.0f} steps/s '
+                f'({min(found):.0f} to {max(found):.0f})')
+
+    def over(what: str, name: str, other: str, target: float | None = None) -> Row:
+        ratio = statistics.median(a / b for a, b in zip(speeds[name], speeds[other], strict=True))
+        return Row(what, ratio, target, least=True, detail=f'{words(name)} beside {words(other)}')
+
+    return [
+        Row('lockstep, recorded, over real time at 200 Hz',
+            statistics.median(speeds['recorded']) / RATE, TARGET_STEPS / RATE, least=True,
+            detail=words('recorded')),
+        over('lockstep, recorded, over a bare echo of all its messages', 'recorded', 'echo',
+             TARGET_RATIO),
+        over('that echo, recorded like the loop, over itself without', 'recorded echo', 'echo'),
+        over('lockstep over that echo, both recorded', 'recorded', 'recorded echo'),
+        over('lockstep over that echo, neither recorded', 'unrecorded', 'echo'),
+        over('lockstep, recorded, over that echo with our profile of the middleware', 'recorded',
+             'profiled echo'),
+        over('lockstep, recorded, over a bare echo of state and command', 'recorded',
+             'echo of two')]
+
+
 def main() -> int:
-    """Measure in turns; print medians; return 1 if a target is missed."""
+    """Measure in turns; print; return 1 if a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
     parser.add_argument('--repetitions', type=int, default=5)
     parser.add_argument('--duration', type=float, default=15.0, help='of a run [s of loop time]')
@@ -180,31 +257,8 @@ def main() -> int:
         with Side(list(BACK.items())[:size], list(FORTH)[:size]) as side:
             side.answer()
         return 0
-    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
-    os.environ['PYTHONPATH'] = str(ROOT)
     print(describe('ros-rclpy', 'ros-rmw-fastrtps-cpp'))
-    speeds: dict[str, list[float]] = {}
-    for _ in range(arguments.repetitions):
-        for name, speed in (
-                ('echo of all messages', lambda: echo(round(arguments.duration * RATE), True)),
-                ('loop, recorded', lambda: loop(arguments.duration, True)),
-                ('loop, not recorded', lambda: loop(arguments.duration, False)),
-                ('echo of state, command', lambda: echo(round(arguments.duration * RATE), False))):
-            speeds.setdefault(name, []).append(speed())
-    for name, values in speeds.items():
-        print(f'{name:<22}  median {statistics.median(values):6.0f} steps/s   '
-              f'({", ".join(f"{value:.0f}" for value in values)})')
-    steps = statistics.median(speeds['loop, recorded'])
-    ratios = {name: statistics.median(a / b for a, b in zip(
-        speeds['loop, recorded'], speeds[name], strict=True))
-        for name in speeds if name.startswith('echo')}
-    print(f'recorded: {steps / RATE:.1f} × real time (target {TARGET_STEPS / RATE:g})')
-    for name, ratio in ratios.items():
-        print(f'recorded / {name}: median {ratio:.2f}')
-    ratio = ratios['echo of all messages']
-    print(f'target {TARGET_RATIO:g} of the echo of all messages: '
-          f'{"met" if ratio >= TARGET_RATIO else "missed"}')
-    return 0 if steps >= TARGET_STEPS and ratio >= TARGET_RATIO else 1
+    return show(measure(False, arguments.repetitions, arguments.duration))
 
 
 if __name__ == '__main__':

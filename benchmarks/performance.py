@@ -24,7 +24,7 @@ import time
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from benchmarks import batches, law, loop, offline, starting  # noqa: E402
+from benchmarks import batches, law, lockstep, loop, offline, starting  # noqa: E402
 from benchmarks.machine import describe  # noqa: E402
 from benchmarks.speed_kit import profile_of_a_node  # noqa: E402
 from benchmarks.speed_kit.rows import markdown, Row, say, show  # noqa: E402
@@ -34,6 +34,7 @@ PARTS: dict[str, Callable[[bool], list[Row]]] = {
     'cpu': lambda quick: loop.measure(quick, ('cpu',)),
     'rates': lambda quick: loop.measure(quick, ('rates',)),
     'soak': lambda quick: loop.measure(quick, ('soak',)),
+    'lockstep': lockstep.measure,
     'law': law.measure,
     'offline': offline.measure,
     'batches': batches.measure,

@@ -49,6 +49,7 @@ class LoopNode(Node):
         self._claims: list[Any] = []
         self._listened: list[Any] = []
         self._counts: dict[str, int] = {}
+        self._received = 0
         self._executor = executor or _executor()
         self._executor.add_node(self)
 
@@ -91,6 +92,7 @@ class LoopNode(Node):
         decode = ArrayCodec(tuple(labels)).decode
 
         def received(payload: bytes) -> None:
+            self._received += 1
             try:
                 numbers = decode(payload)
             except MessageError as error:
@@ -203,6 +205,13 @@ class LoopNode(Node):
     def spin(self, limit: float = SPIN_LIMIT) -> None:
         """Serve one callback, or none for a while [s]."""
         self._executor.spin_once(timeout_sec=min(limit, SPIN_LIMIT))
+
+    def spin_out(self) -> None:
+        """Serve callbacks until one finds no message: a look for nothing costs as much as one."""
+        before = -1
+        while before != self._received:
+            before = self._received
+            self._executor.spin_once(timeout_sec=0.0)
 
     def flush(self) -> None:
         """Wait until what was published has reached its reliable listeners."""

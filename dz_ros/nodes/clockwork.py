@@ -20,6 +20,7 @@ from rosgraph_msgs.msg import Clock
 from dz_ros.errors import LoopError
 from dz_ros.nodes.base import PATIENCE
 from dz_ros.nodes.hosting import Hosting
+from dz_ros.recording.cdr import encode_clock
 from dz_ros.runtime.deadlines import Deadlines
 
 REPEAT = 0.25
@@ -97,10 +98,7 @@ class ActuatorHost(Hosting):
             if self.halted or self._seq >= last:
                 break
             self._next((self._seq + 1) * self._period)
-            message = Clock()
-            stamp_ns = round(self._seq * self._period * 1e9)
-            message.clock.sec, message.clock.nanosec = divmod(stamp_ns, 1_000_000_000)
-            clock.publish(message)
+            clock.publish(encode_clock(round(self._seq * self._period * 1e9)))
             self.diagnosing.look()
         self.destroy_publisher(clock)
         if not (self._seq >= last or self.stopping):

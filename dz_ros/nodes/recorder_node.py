@@ -136,9 +136,9 @@ class RecorderNode(LoopNode):
         """Wait for messages, hand over all that have come in the order of their coming."""
         began_ns = time.monotonic_ns()
         taken = self._taker.take_all(timeout)
-        for log_ns, topic, payload, source_ns in self._arrivals.settle(
-                self._batch, _epoch(), began_ns, time.monotonic_ns()):
-            self._writer.put(topic, payload, log_ns, source_ns)
+        settled = self._arrivals.settle(self._batch, _epoch(), began_ns, time.monotonic_ns())
+        self._writer.put_all([(topic, payload, log_ns, source_ns)
+                              for log_ns, topic, payload, source_ns in settled])
         self._batch.clear()
         return taken
 

@@ -81,8 +81,7 @@ class TrajectoryNode(ManagedNode):
             self.diagnosing.look()
             if self.lockstep:   # waking up costs more than answering; the loop needs the time
                 time.sleep(LET_COLLECT)
-                for _ in range(AHEAD):
-                    self.spin(0.0)
+                self.spin_out()
             elif self._aside is not None:
                 self._aside.rest()
         return False

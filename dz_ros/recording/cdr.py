@@ -1,4 +1,4 @@
-"""The two messages dz_ros sends, packed and unpacked by hand: arrays of doubles and text.
+"""The messages of the loop, packed and unpacked by hand: arrays of doubles, text and the time.
 
 CDR (OMG DDS-XTypes 7.4, classic encoding "version 1") as ROS 2 serialises ``std_msgs``. A payload
 is a 4-byte encapsulation header (kind of encoding, options) and a body; inside the body a number
@@ -8,6 +8,7 @@ elements.
 
     std_msgs/Float64MultiArray     layout.dim[]: label, size, stride;  layout.data_offset;  data[]
     std_msgs/String                data
+    rosgraph_msgs/Clock            sec (int32), nanosec (uint32)
 
 Every array of ours has one dimension whose label is the comma-separated names of its numbers.
 Pad bytes written here are zero; those of other writers may hold anything and are never compared.
@@ -27,6 +28,7 @@ LITTLE_ENDIAN = b'\x00\x01\x00\x00'
 """Encapsulation header of plain CDR, little endian, no options."""
 
 HEADER = len(LITTLE_ENDIAN)
+_pack_time = struct.Struct(f'<{HEADER}siI').pack
 _MAX_TRAILING = 3
 """Bytes that a transport may append to fill the last word."""
 
@@ -120,6 +122,15 @@ class ArrayCodec:
             return None
         return np.ascontiguousarray(table[:, self.data_start:]).view('<f8').astype(
             np.float64, copy=False)
+
+
+def encode_clock(stamp_ns: int) -> bytes:
+    """Return the payload of a rosgraph_msgs/Clock.
+
+    Args:
+        stamp_ns: The time, 0 … 2³¹ s [ns].
+    """
+    return _pack_time(LITTLE_ENDIAN, *divmod(stamp_ns, 1_000_000_000))
 
 
 def decode_array(payload: bytes) -> tuple[tuple[str, ...], tuple[float, ...]]:

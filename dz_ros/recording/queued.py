@@ -13,8 +13,9 @@ from dz_ros.recording.channels import Qos
 from dz_ros.recording.summary import Summary
 from dz_ros.recording.writer import CHUNK_SECONDS, RunWriter
 
-_Message = tuple[str, bytes, int, int]
-_Item = _Message | Callable[[], None] | None
+QueuedMessage = tuple[str, bytes, int, int]
+"""Topic, payload, log time and publish time, as of `RunWriter.write`."""
+_Item = Sequence[QueuedMessage] | Callable[[], None] | None
 
 
 class QueuedWriter:
@@ -35,7 +36,8 @@ class QueuedWriter:
         self._idle = idle
         self._queue: SimpleQueue[_Item] = SimpleQueue()
         self._error: RecordingError | None = None
-        self._taken = self._lost = 0
+        self._given = self._taken = self._lost = 0
+        self._giving = threading.Lock()
         self._closed: Summary | None = None
         self._closing = threading.Lock()
         self._thread = threading.Thread(target=self._run, name='run writer', daemon=True)
@@ -49,7 +51,7 @@ class QueuedWriter:
     @property
     def pending(self) -> int:
         """Number of messages that wait to be written."""
-        return self._queue.qsize()
+        return self._given - self._taken
 
     @property
     def lost(self) -> int:
@@ -58,7 +60,14 @@ class QueuedWriter:
 
     def put(self, topic: str, payload: bytes, log_time_ns: int, publish_time_ns: int) -> None:
         """Give one message to be stored; arguments as of `RunWriter.write`."""
-        self._queue.put((topic, payload, log_time_ns, publish_time_ns))
+        self.put_all([(topic, payload, log_time_ns, publish_time_ns)])
+
+    def put_all(self, messages: Sequence[QueuedMessage]) -> None:
+        """Give messages to be stored, at a wake-up of the thread for all of them."""
+        if messages:
+            with self._giving:
+                self._given += len(messages)
+            self._queue.put(messages)
 
     def add_topic(self, topic: str, type_name: str,
                   qos: Qos | Sequence[Mapping[str, Any]] | None = None) -> None:
@@ -82,7 +91,7 @@ class QueuedWriter:
             if self._closed is None:
                 self._queue.put(None)
                 self._thread.join()
-                self._taken += sum(isinstance(item, tuple) for item in self._left())
+                self._taken = self._given       # what was put after the end is lost
                 try:
                     found = self._writer.close()
                 except RecordingError as error:
@@ -97,13 +106,6 @@ class QueuedWriter:
 
     def __exit__(self, *exception: object) -> None:
         self.close()
-
-    def _left(self) -> list[_Item]:
-        """Return what was put after the end."""
-        left = []
-        while not self._queue.empty():
-            left.append(self._queue.get())
-        return left
 
     def _run(self) -> None:
         """Write until None comes."""
@@ -120,14 +122,18 @@ class QueuedWriter:
             self._error = self._error or RecordingError(f'recording broke: {error!r}')
             raise
 
-    def _store(self, item: _Message | Callable[[], None]) -> None:
-        """Write a message or do something else with the run; keep the first error."""
-        self._taken += isinstance(item, tuple)
-        try:
-            if isinstance(item, tuple):
-                self._writer.write(*item)
-            else:
+    def _store(self, item: Sequence[QueuedMessage] | Callable[[], None]) -> None:
+        """Write messages or do something else with the run; keep the first error."""
+        if callable(item):
+            try:
                 item()
-        except RecordingError as error:
-            self._error = self._error or error
-            self._lost += isinstance(item, tuple)
+            except RecordingError as error:
+                self._error = self._error or error
+            return
+        for message in item:
+            self._taken += 1
+            try:
+                self._writer.write(*message)
+            except RecordingError as error:
+                self._error = self._error or error
+                self._lost += 1

@@ -28,7 +28,7 @@ from dz_ros.recording.channels import ARRAY, CHANNELS, MessageType, Qos, TYPES
 from dz_ros.recording.sequence import TopicCounter
 from dz_ros.recording.summary import Summary
 
-CHUNK_BYTES = 64 * 1024
+CHUNK_BYTES = 128 * 1024
 CHUNK_SECONDS = 0.5
 _RECORD_BYTES = 31
 """MCAP's frame around a message."""

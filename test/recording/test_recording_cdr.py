@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from dz_ros.errors import MessageError
-from dz_ros.recording.cdr import ArrayCodec, decode_array, decode_string, encode_string
+from dz_ros.recording.cdr import (
+    ArrayCodec,
+    decode_array,
+    decode_string,
+    encode_clock,
+    encode_string,
+)
 
 ARRAY = 'std_msgs/msg/Float64MultiArray'
 NAMES = st.text(st.characters(exclude_categories=['Cs'], exclude_characters=',\0'), min_size=1,
@@ -219,6 +225,15 @@ def test_rclpy_strings():
         found = serialization.deserialize_message(encode_string(text), messages.String)
         assert found.data == text
         assert decode_string(bytes(serialization.serialize_message(found))) == text
+
+
+@pytest.mark.parametrize('stamp_ns', [0, 5_000_000, 999_999_999, 10**9, 2**31 * 10**9 - 1])
+def test_rclpy_reads_the_time(stamp_ns):
+    serialization = pytest.importorskip('rclpy.serialization', reason='rclpy is not installed')
+    messages = pytest.importorskip('rosgraph_msgs.msg')
+    found = serialization.deserialize_message(encode_clock(stamp_ns), messages.Clock)
+    assert found.clock.sec * 10**9 + found.clock.nanosec == stamp_ns
+    assert bytes(serialization.serialize_message(found)) == encode_clock(stamp_ns)
 
 
 def test_rclpy_bare_array():

@@ -20,7 +20,7 @@ from dz_ros.recording.queued import QueuedWriter
 
 codec = ArrayCodec(('seq', 'stamp', 'x0'))
 kind = 'std_msgs/msg/Float64MultiArray'
-resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, (120_000, 120_000))
 writer = RunWriter(Path(sys.argv[1]), {'mode': 'offline'}, {})
 writer.add_topic('/state', kind)
 count = 50_000

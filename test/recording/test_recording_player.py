@@ -251,7 +251,7 @@ def test_seeking_in_a_file_skips_what_it_need_not_read(tmp_path, offset, monkeyp
         writer.add_topic('/events', TEXT.name)
         for i in range(6001):
             back = 3 * SECOND if i % 500 == 499 else 0      # now and then the clock steps back
-            writer.write('/events', encode_string(f'{i} {"x" * 100}'),
+            writer.write('/events', encode_string(f'{i} {"x" * 250}'),
                          FIRST + i * SECOND // 100 - back, 0)
     read = []
     contents = McapFile._contents

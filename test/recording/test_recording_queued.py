@@ -79,6 +79,18 @@ def test_put_never_waits_for_the_writer(tmp_path):
     assert queued.close().messages == 1000
 
 
+def test_messages_put_together_are_stored_one_by_one(tmp_path):
+    writer = RunWriter(tmp_path / 'run', {}, {})
+    writer.add_topic('/state', ARRAY.name)
+    queued = QueuedWriter(writer)
+    queued.put_all([])
+    queued.put_all([('/state', CODEC.encode([k, 0]), k, k) for k in range(5)]
+                   + [('/unknown', b'', 5, 5), ('/state', CODEC.encode([5, 0]), 5, 5)])
+    summary = queued.close()
+    assert (summary.messages, summary.lost, queued.pending) == (6, 1, 0)
+    assert numbers(writer.path) == list(range(6))
+
+
 def test_a_single_message_reaches_the_file_without_a_next_one(tmp_path):
     writer = RunWriter(tmp_path / 'run', {}, {})
     with QueuedWriter(writer, idle=0.01) as queued:

@@ -13,7 +13,7 @@ from dz_ros.errors import RecordingError, RunExistsError
 from dz_ros.recording.cdr import ArrayCodec, encode_string
 from dz_ros.recording.channels import CHANNELS, Qos, TYPES
 from dz_ros.recording.mcap_file import McapFile
-from dz_ros.recording.writer import CHUNK_SECONDS, RunWriter
+from dz_ros.recording.writer import CHUNK_BYTES, CHUNK_SECONDS, RunWriter
 
 ARRAY, TEXT = TYPES
 START = 1_700_000_000_000_000_000
@@ -91,7 +91,7 @@ def test_the_format_s_own_reader(tmp_path):
         assert reader.get_header().profile == 'ros2'
         summary = reader.get_summary()
         assert {item.compression for item in summary.chunk_indexes} == {'zstd'}
-        assert max(item.uncompressed_size for item in summary.chunk_indexes) < 70_000
+        assert max(item.uncompressed_size for item in summary.chunk_indexes) < 1.1 * CHUNK_BYTES
         assert {(item.name, item.encoding) for item in summary.schemas.values()} == {
             (ARRAY, 'ros2msg'), (TEXT, 'ros2msg')}
         assert {item.message_encoding for item in summary.channels.values()} == {'cdr'}
@@ -267,7 +267,7 @@ def test_a_chunk_never_stays_open_long(tmp_path):
         now += 1.1 * CHUNK_SECONDS
         writer.write('/state', STATE.encode([2, 0, 0]), START, START)     # the next one comes
         assert stored() == 2
-        writer.write('/state', bytes(100_000), START, START)              # a chunk is full
+        writer.write('/state', bytes(CHUNK_BYTES), START, START)          # a chunk is full
         assert stored() == 4
 
 
