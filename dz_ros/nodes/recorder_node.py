@@ -1,8 +1,8 @@
 """The recorder as a node: stores every message of the loop's topics as it was received.
 
 Messages are let collect for a while and taken together: waking up for each of them would cost as
-much as all other nodes, in the very moments in which those compute. The middleware keeps them, and
-when they came. A thread of its own writes the bytes as received (the twin without ROS is
+much as all other nodes, in the very moments in which those compute. They are taken between two
+states, when the loop has its answer and waits. The middleware keeps them, and when they came. A thread of its own writes the bytes as received (the twin without ROS is
 ``recording/queued.py``). It records whatever there is and never holds up the loop, except that the
 loop's first sample waits for it when `loop.peers` names it.
 """
@@ -31,6 +31,7 @@ from dz_ros.recording.channels import CHANNELS
 from dz_ros.recording.description import default_info
 from dz_ros.recording.queued import QueuedWriter
 from dz_ros.recording.writer import RunWriter
+from dz_ros.runtime.aside import until_middle
 
 SERVE = 0.1
 """Services, such as those of the parameters, are served this often [s]."""
@@ -38,6 +39,10 @@ BEHIND = 2000
 """More messages than this in the queue mean that the disk does not keep up."""
 LET_COLLECT = {'realtime': 0.05, 'lockstep': 0.01}
 """`loop.timing` → for how long messages are let collect [s]."""
+BETWEEN = (0.002, 0.05)
+"""In real time messages are taken between two states for periods within these [s]."""
+FRESH = 1.0
+"""A state that came longer ago tells nothing of when the next ones come [s]."""
 GATHER, HOLD = 0.01, 10.0
 """While the loop gathers, it is looked so often who listens, for so long at most [s]."""
 QUIET = 0.2
@@ -69,6 +74,8 @@ class RecorderNode(LoopNode):
         self._writer = QueuedWriter(RunWriter(self._directory, info, {}))
         self._arrivals = Arrivals(_epoch(), time.monotonic_ns())
         self._batch: list[Arrival] = []
+        self._state_ns = 0      # when the newest state came, by the wall clock
+        self._beat = -FRESH     # the same by the steady clock [s]
         # Who listens first is served first: where the loop waits for the recorder, it comes last.
         waited_for = self.get_name() in self.configuration.loop.peers
         self._held: list[str] = []
@@ -123,12 +130,14 @@ class RecorderNode(LoopNode):
 
     def _storer(self, name: str, topic: str) -> Store:
         """Return the callback that stores a topic's messages."""
-        is_event = name == 'events'
+        is_event, is_state = name == 'events', name == 'state'
 
         def store(payload: bytes, source_ns: int, received_ns: int) -> None:
             self._batch.append((received_ns, topic, payload, source_ns))
             if is_event:
                 self._keep_configuration(payload)
+            elif is_state and received_ns:
+                self._state_ns = received_ns
 
         return store
 
@@ -136,7 +145,9 @@ class RecorderNode(LoopNode):
         """Wait for messages, hand over all that have come in the order of their coming."""
         began_ns = time.monotonic_ns()
         taken = self._taker.take_all(timeout)
-        settled = self._arrivals.settle(self._batch, _epoch(), began_ns, time.monotonic_ns())
+        epoch_ns = _epoch()
+        self._beat = (self._state_ns - epoch_ns) * 1e-9
+        settled = self._arrivals.settle(self._batch, epoch_ns, began_ns, time.monotonic_ns())
         self._writer.put_all([(topic, payload, log_ns, source_ns)
                               for log_ns, topic, payload, source_ns in settled])
         self._batch.clear()
@@ -159,14 +170,25 @@ class RecorderNode(LoopNode):
                  if key.partition('.')[0] in event.get('owns', ())}
         self._writer.add_configuration(owned)
 
+    def _pause(self) -> float:
+        """Return for how long messages are let collect now [s]."""
+        if self._held:
+            return GATHER
+        loop, now = self.configuration.loop, time.monotonic()
+        least = LET_COLLECT[loop.timing]
+        between = not self.lockstep and BETWEEN[0] <= loop.period <= BETWEEN[1]
+        if not between or abs(now - self._beat) > FRESH:
+            return least
+        return until_middle(now, self._beat, loop.period, least)
+
     def run(self) -> None:
         """Record until told to end and nothing more arrives, or until the disk refuses."""
-        served, collect = 0.0, LET_COLLECT[self.configuration.loop.timing]
+        served = 0.0
         while not self.stopping and self._writer.error is None:
             if self._held:
                 self._listen_after_others()
             self._stored += self._take(GATHER if self._held else SPIN_LIMIT)
-            time.sleep(GATHER if self._held else collect)
+            time.sleep(self._pause())
             if time.monotonic() - served > SERVE:
                 self._executor.spin_once(timeout_sec=0.0)
                 served = time.monotonic()

@@ -12,14 +12,30 @@ followed.
 from __future__ import annotations
 
 from collections.abc import Callable
+import math
 import time
 
 SHARE = 0.3
 """Listening begins this share of a period after a beat is due."""
 EVERY = 200
 """One beat in so many is waited for."""
+MIDDLE = 0.55
+"""Who has work for several beats at once begins this share of a period after one of them."""
 AT_ONCE = 0.05
 """What is heard within this share of a period after listening began had come before."""
+
+
+def until_middle(now: float, beat: float, period: float, least: float) -> float:
+    """Return how long to sleep so as to wake up between two beats [s].
+
+    Args:
+        now: Steady clock [s].
+        beat: When one of the beats came, of late [s].
+        period: T [s].
+        least: Shortest sleep [s].
+    """
+    middle = beat + MIDDLE * period
+    return middle + math.ceil((now + least - middle) / period) * period - now
 
 
 class Aside:

@@ -1,10 +1,14 @@
-"""Fixtures of the tests of drivers: a serial driver of the servo, waiting while it is driven."""
+"""Fixtures of the tests of drivers: a serial driver, waiting while it is driven, the kit."""
 
 from pathlib import Path
+import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 
+from dz_ros.core.configuration import Configuration
+from dz_ros.drivers import conformance
 from dz_ros.files import load_configuration
 
 TIME_OUT = 60.0
@@ -35,3 +39,23 @@ def until():
             time.sleep(0.004)
 
     return wait
+
+
+@pytest.fixture
+def check(monkeypatch):
+    """Return the function that checks a class of a test, or a name: check → result.
+
+    A part of the kit takes no longer than it must.
+    """
+    monkeypatch.setattr(conformance, 'FIRST', 0.3)
+    monkeypatch.setattr(conformance, 'SPAN', 0.3)
+
+    def found(driver, amplitude=0.1, saturate=True, **overrides):
+        if not isinstance(driver, str):
+            monkeypatch.setitem(sys.modules, 'broken_driver', SimpleNamespace(Here=driver))
+            driver = 'broken_driver:Here'
+        flat = {'driver.name': driver,
+                **{key.replace('__', '.'): value for key, value in overrides.items()}}
+        return {item.name: item for item in conformance.check_contract(
+            Configuration.from_flat(flat), amplitude, saturate)}
+    return found

@@ -2,41 +2,16 @@
 
 from __future__ import annotations
 
-import sys
 import time
-from types import SimpleNamespace
 
 import pytest
 
-from dz_ros.core.configuration import Configuration
-from dz_ros.drivers import conformance
-from dz_ros.drivers.conformance import check_contract, wave
+from dz_ros.drivers.conformance import wave
 from dz_ros.drivers.mock import Mock
 from dz_ros.drivers.simulated import SimulatedActuator, SimulatedParameters
 
 NAMES = ['declaration', 'opens', 'measurement', 'answers at once', 'no trouble', 'safe command',
          'limit', 'stop and reset', 'restart', 'reconnect']
-
-
-@pytest.fixture(autouse=True)
-def short(monkeypatch):
-    """A part of the kit takes no longer than it must here."""
-    monkeypatch.setattr(conformance, 'FIRST', 0.3)
-    monkeypatch.setattr(conformance, 'SPAN', 0.3)
-
-
-@pytest.fixture
-def check(monkeypatch):
-    """Return the function that checks a class of this test, or a name: check → result."""
-    def found(driver, amplitude=0.1, saturate=True, **overrides):
-        if not isinstance(driver, str):
-            monkeypatch.setitem(sys.modules, 'broken_driver', SimpleNamespace(Here=driver))
-            driver = 'broken_driver:Here'
-        flat = {'driver.name': driver,
-                **{key.replace('__', '.'): value for key, value in overrides.items()}}
-        return {item.name: item for item in check_contract(
-            Configuration.from_flat(flat), amplitude, saturate)}
-    return found
 
 
 @pytest.mark.parametrize('name', ['simulated', 'mock'])
@@ -194,61 +169,6 @@ class OpensTwice(OpensOnce):
         self.opened += 1
         if self.opened > 2:
             raise OSError('already in use')
-
-
-class CannotTell(Broken):
-    """Knows what it holds as long as nobody asks."""
-
-    def in_force(self):
-        raise KeyError('demand')
-
-
-class TellsNonsense(Broken):
-    def in_force(self):
-        return 'much'
-
-
-class LimitRaises(Broken):
-    """From the second time it is asked."""
-
-    asked = 0
-
-    @property
-    def limit(self):
-        self.asked += 1
-        if self.asked > 1:
-            raise OSError('not now')
-        return 5.0
-
-
-class UnitsRaise(Broken):
-    @property
-    def state_units(self):
-        raise KeyError('unit')
-
-
-@pytest.mark.parametrize(('driver', 'failed', 'words'), [
-    (CannotTell, {'safe command', 'limit', 'stop and reset'},
-     "in_force: KeyError: 'demand'"),
-    (TellsNonsense, {'safe command', 'limit', 'stop and reset'},
-     "in_force: 'much' is neither a finite number nor None"),
-    (UnitsRaise, {'declaration'}, "the driver: KeyError: 'unit'"),
-])
-def test_whatever_a_driver_raises_fails_that_check_and_the_rest_go_on(check, driver, failed,
-                                                                      words):
-    found = check(driver, plant__command_limit=5.0)
-    assert list(found) == NAMES
-    assert {name for name, item in found.items() if item.passed is False} == failed
-    assert all(words in found[name].words for name in failed)
-    assert all('test_drivers_conformance.py, line' in found[name].words for name in failed
-               if 'KeyError' in words)
-
-
-def test_a_limit_that_raises_is_found_and_the_rest_go_on(check):
-    found = check(LimitRaises)
-    assert list(found)[:2] == NAMES[:2]
-    assert 'OSError: not now' in found['limit'].words
-    assert not found['no trouble'].passed
 
 
 def test_the_wave_is_never_the_safe_command():

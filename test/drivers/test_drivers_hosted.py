@@ -19,6 +19,11 @@ from dz_ros.errors import ConfigurationError, DriverError, LoopError
 LIMIT = 5.0
 
 
+def told(name, with_values=False):
+    """Return the method of a driver that writes down that it was called."""
+    return lambda self, *values: self._call(name, *(values if with_values else ()))
+
+
 class Told(Driver):
     """Writes down every call; does what the test says."""
 
@@ -26,6 +31,7 @@ class Told(Driver):
     summary = 'of this test'
     order = 2
     Parameters = NoParameters
+    limit = LIMIT
 
     def __init__(self, parameters, configuration):
         super().__init__(parameters, configuration)
@@ -39,40 +45,12 @@ class Told(Driver):
             raise answer
         return answer
 
-    limit = LIMIT
-
-    def attach(self, node):
-        self._call('attach')
-
-    def open(self):
-        self._call('open')
-
-    def enable(self):
-        self._call('enable')
-
-    def disable(self):
-        self._call('disable')
-
-    def close(self):
-        self._call('close')
-
-    def command(self, v, t):
-        self._call('command', v, t)
-
-    def safe(self, v, t):
-        self._call('safe', v, t)
-
-    def measure(self):
-        return self._call('measure')
+    attach, open, enable, disable, close, measure, recover, report = map(told, (
+        'attach', 'open', 'enable', 'disable', 'close', 'measure', 'recover', 'report'))
+    command, safe = told('command', True), told('safe', True)
 
     def trouble(self):
         return self._call('trouble') or ''
-
-    def recover(self):
-        self._call('recover')
-
-    def report(self, report):
-        self._call('report')
 
 
 class Positions(Told):
@@ -113,10 +91,8 @@ def test_life_is_called_in_order_and_each_end_once(make):
     hosted = make()
     hosted.open(object())
     hosted.enable()
-    assert hosted.disable(0.5, 1.0) == ''
-    assert hosted.disable(0.5, 1.0) == ''
-    assert hosted.close() == ''
-    assert hosted.close() == ''
+    assert [hosted.disable(0.5, 1.0) for _ in range(2)] == ['', '']
+    assert [hosted.close() for _ in range(2)] == ['', '']
     assert hosted.driver.calls == [('attach',), ('open',), ('enable',), ('safe', 0.5, 1.0),
                                    ('disable',), ('close',)]
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dz_ros.runtime.aside import Aside, EVERY, SHARE
+from dz_ros.runtime.aside import Aside, EVERY, MIDDLE, SHARE, until_middle
 
 T = 0.005
 
@@ -67,3 +67,13 @@ def test_a_process_held_up_finds_back(share):
     late = world.beats(range(50, 50 + 3 * EVERY))
     assert max(late[4:]) < (SHARE + 0.1) * T
     assert len(late) > 3 * EVERY - 12
+
+
+@pytest.mark.parametrize('least', [0.0, 0.001, 0.05, 0.0512])
+@pytest.mark.parametrize('beat', [7.0, 9.9, 10.0, 10.003, 12.0])
+@pytest.mark.parametrize('now', [10.0, 10.001, 10.00499])
+def test_work_for_several_beats_begins_between_two_of_them(now, beat, least):
+    pause = until_middle(now, beat, T, least)
+    assert least - 1e-9 <= pause <= least + T
+    share = (now + pause - beat) / T % 1.0
+    assert share == pytest.approx(MIDDLE, abs=1e-6)
