@@ -132,9 +132,12 @@ def rates(folder: Path, quick: bool) -> list[Row]:
     """Return how 1 kHz goes and which rate is the highest that holds, also by SCHED_FIFO."""
     seconds = 5.0 if quick else 60.0
     long = running.loop(seconds, folder / 'kilohertz', 'loop.rate=1000.0')
+    alone = running.bare_ticks(seconds, 1000.0)
     say(f'1 kHz: {rate_words(long)}')
     rows = [Row('1 kHz: late', 100.0 * long.late / long.samples, 100.0 * LATE_SHARE, '%',
-                detail=rate_words(long)),
+                detail=f'{rate_words(long)}; a bare deadline loop after it: '
+                f'{sum(item > 1e-3 for item in alone)} of {len(alone)} late, '
+                f'max {1e6 * max(alone):.0f} µs'),
             Row('1 kHz: lost, unanswered or skipped', gone(long), 0.0, 'samples')]
     if quick:
         return rows

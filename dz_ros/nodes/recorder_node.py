@@ -38,8 +38,13 @@ SERVE = 0.1
 BEHIND = 2000
 """More messages than this in the queue mean that the disk does not keep up."""
 LET_COLLECT = {'realtime': 0.05, 'lockstep': 0.01}
-"""`loop.timing` → for how long messages are let collect [s]."""
-BETWEEN = (0.002, 0.05)
+"""`loop.timing` → for how long messages are let collect, at most [s]."""
+TAKING, SHARE = 6e-5, 0.15
+"""To take what one sample sends takes about so long [s]; they may keep a core for this share of a
+period, or the loop would miss its next beat …"""
+LEAST = 0.001
+"""… but are let collect for so long at least [s]."""
+BETWEEN = (0.0005, 0.05)
 """In real time messages are taken between two states for periods within these [s]."""
 FRESH = 1.0
 """A state that came longer ago tells nothing of when the next ones come [s]."""
@@ -175,11 +180,13 @@ class RecorderNode(LoopNode):
         if self._held:
             return GATHER
         loop, now = self.configuration.loop, time.monotonic()
-        least = LET_COLLECT[loop.timing]
-        between = not self.lockstep and BETWEEN[0] <= loop.period <= BETWEEN[1]
-        if not between or abs(now - self._beat) > FRESH:
+        longest, period = LET_COLLECT[loop.timing], loop.period
+        if self.lockstep:
+            return longest
+        least = min(max(SHARE * period / TAKING * period, LEAST), longest)
+        if not BETWEEN[0] <= period <= BETWEEN[1] or abs(now - self._beat) > FRESH:
             return least
-        return until_middle(now, self._beat, loop.period, least)
+        return until_middle(now, self._beat, period, least)
 
     def run(self) -> None:
         """Record until told to end and nothing more arrives, or until the disk refuses."""
