@@ -2,9 +2,10 @@
 
 Messages are let collect for a while and taken together: waking up for each of them would cost as
 much as all other nodes, in the very moments in which those compute. They are taken between two
-states, when the loop has its answer and waits. The middleware keeps them, and when they came. A thread of its own writes the bytes as received (the twin without ROS is
-``recording/queued.py``). It records whatever there is and never holds up the loop, except that the
-loop's first sample waits for it when `loop.peers` names it.
+states, when the loop has its answer and waits. The middleware keeps them, and when they came. A
+thread of its own writes the bytes as received (the twin without ROS is ``recording/queued.py``).
+It records whatever there is and never holds up the loop, except that the loop's first sample waits
+for it when `loop.peers` names it.
 """
 
 from __future__ import annotations
