@@ -5,8 +5,8 @@ executor and quality of service, no number computed, nobody recording unless it 
 
     echo of all messages    one side sends state, truth and the clock's time, the other answers
                             with command, terms and reference: all that a step of the loop sends;
-                            also recorded by our recorder, as the loop is, to see what recording
-                            alone costs, and with what our nodes ask of the middleware
+                            also with what our nodes ask of the middleware, and that recorded by
+                            our recorder, as the loop is, to see what recording alone costs
     echo of state, command  the two that have to wait for each other
 
 Loop and echoes take turns, so that they meet the same machine. On a busy machine the ratio says
@@ -53,8 +53,8 @@ BACK = {'command': payload(Command.labels()),
         'terms': payload(Terms.labels(('theta1', 'theta2', 'phi'))),
         'reference': payload(Reference.labels(2))}
 """Topic → bytes, the one that the other side waits for first."""
-RECORDED = 5
-"""Messages of an echo that the recorder knows; it takes no note of the clock."""
+RECORDED = ('state', 'truth', 'command', 'terms', 'reference')
+"""Topics of an echo that the recorder knows; it takes no note of the clock."""
 TIME_OUT = 180.0
 
 
@@ -74,18 +74,25 @@ def loop(duration: float, record: bool) -> float:
         return float(found[1])
 
 
-def echo(count: int, whole: bool, profile: bool = False) -> float:
+def echo(count: int, whole: bool, profile: bool = False, listeners: int = 1) -> float:
     """Return round trips per second of a bare echo, of all messages or of two.
 
     Both sides are processes of their own: a second life of rclpy in one process is slower.
+
+    Args:
+        count: Round trips.
+        whole: All messages, or state and command only.
+        profile: With what our nodes ask of the middleware, or with what it does by itself.
+        listeners: Of each topic that a recorder knows; waited for.
     """
     size = len(FORTH) if whole else 1
     side = [sys.executable, __file__, '--side', str(size)]
     env = environment(profile=profile)
     answering = subprocess.Popen(side, cwd=ROOT, env=env)
     try:
-        done = subprocess.run([*side, '--count', str(count)], cwd=ROOT, env=env,
-                              capture_output=True, text=True, check=False, timeout=2.0 * TIME_OUT)
+        done = subprocess.run(
+            [*side, '--count', str(count), '--listeners', str(listeners)], cwd=ROOT, env=env,
+            capture_output=True, text=True, check=False, timeout=2.0 * TIME_OUT)
     finally:
         answering.terminate()
         answering.wait(TIME_OUT)
@@ -95,19 +102,19 @@ def echo(count: int, whole: bool, profile: bool = False) -> float:
 
 
 def recorded_echo(count: int) -> float:
-    """Return round trips per second of an echo of all messages beside our recorder."""
+    """Return round trips per second of an echo of all messages, our profile, our recorder."""
     with tempfile.TemporaryDirectory() as folder:
         recorder = subprocess.Popen(
             [sys.executable, '-m', 'dz_ros.nodes.main', 'recorder_node', '--ros-args', '-r',
              '__ns:=/echo', '-p', 'loop.timing:=lockstep', '-p', f'directory:={folder}/run'],
             cwd=ROOT, env=environment(), stderr=subprocess.PIPE, text=True)
         try:
-            speed = echo(count, True)
+            speed = echo(count, True, True, 2)
         finally:
             recorder.terminate()
             _, said = recorder.communicate(timeout=TIME_OUT)
     found = re.search(r'(\d+) messages', said)
-    if found is None or int(found[1]) < count * RECORDED:
+    if found is None or int(found[1]) < count * len(RECORDED):
         sys.exit(f'the echo was not recorded whole: {said}')
     return speed
 
@@ -158,9 +165,14 @@ class Side:
         """Hear anything else."""
         self.others += 1
 
-    def ask(self, count: int) -> float:
+    def ask(self, count: int, listeners: int) -> float:
         """Send, wait for the answer, and so on; return how often per second."""
         give_up = time.monotonic() + TIME_OUT
+        while listeners > 1 and any(self.node.count_subscribers(f'echo/{name}') < listeners
+                                    for name in RECORDED):
+            self.executor.spin_once(timeout_sec=0.05)
+            if time.monotonic() > give_up:
+                sys.exit('no recorder')
         while not self.heard:       # until both hear each other
             self.send()
             self.executor.spin_once(timeout_sec=0.5)
@@ -231,10 +243,11 @@ def measure(quick: bool, repetitions: int = 5, duration: float = 15.0) -> list[R
             detail=words('recorded')),
         over('lockstep, recorded, over a bare echo of all its messages', 'recorded', 'echo',
              TARGET_RATIO),
-        over('that echo, recorded like the loop, over itself without', 'recorded echo', 'echo'),
-        over('lockstep over that echo, both recorded', 'recorded', 'recorded echo'),
-        over('lockstep over that echo, neither recorded', 'unrecorded', 'echo'),
-        over('lockstep, recorded, over that echo with our profile of the middleware', 'recorded',
+        over('that echo with our profile of the middleware, recorded over not', 'recorded echo',
+             'profiled echo'),
+        over('lockstep over that echo, both with our profile, recorded', 'recorded',
+             'recorded echo'),
+        over('lockstep over that echo, both with our profile, not recorded', 'unrecorded',
              'profiled echo'),
         over('lockstep, recorded, over a bare echo of state and command', 'recorded',
              'echo of two')]
@@ -247,12 +260,13 @@ def main() -> int:
     parser.add_argument('--duration', type=float, default=15.0, help='of a run [s of loop time]')
     parser.add_argument('--side', type=int, default=0, help=argparse.SUPPRESS)
     parser.add_argument('--count', type=int, default=0, help=argparse.SUPPRESS)
+    parser.add_argument('--listeners', type=int, default=1, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.side:
         size = arguments.side
         if arguments.count:
             with Side(list(FORTH.items())[:size], list(BACK)[:size]) as side:
-                print(side.ask(arguments.count))
+                print(side.ask(arguments.count, arguments.listeners))
             return 0
         with Side(list(BACK.items())[:size], list(FORTH)[:size]) as side:
             side.answer()

@@ -84,10 +84,11 @@ def main() -> int:
             begin = time.monotonic()
             kept[part] = PARTS[part](arguments.quick)
             say(f'{part}: {time.monotonic() - begin:.0f} s')
+            if arguments.keep is not None:
+                arguments.keep.write_text(json.dumps(
+                    {name: [asdict(row) for row in found] for name, found in kept.items()},
+                    indent=1))
     rows = [row for part in PARTS for row in kept.get(part, [])]
-    if arguments.keep is not None:
-        arguments.keep.write_text(json.dumps(
-            {part: [asdict(row) for row in found] for part, found in kept.items()}, indent=1))
     code = show(rows)
     if arguments.write:
         put('table', [f'Measured on {describe(*PACKAGES)}; load average over five minutes before '

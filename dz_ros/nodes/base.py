@@ -209,7 +209,7 @@ class LoopNode(Node):
     def spin_out(self) -> None:
         """Serve callbacks until one finds no message: a look for nothing costs as much as one."""
         before = -1
-        while before != self._received:
+        while before != self._received and not self.halted:
             before = self._received
             self._executor.spin_once(timeout_sec=0.0)
 

@@ -1,11 +1,12 @@
 """The recorder as a node: stores every message of the loop's topics as it was received.
 
 Messages are let collect for a while and taken together: waking up for each of them would cost as
-much as all other nodes, in the very moments in which those compute. They are taken between two
-states, when the loop has its answer and waits. The middleware keeps them, and when they came. A
-thread of its own writes the bytes as received (the twin without ROS is ``recording/queued.py``).
-It records whatever there is and never holds up the loop, except that the loop's first sample waits
-for it when `loop.peers` names it.
+much as all other nodes, in the very moments in which those compute. In real time they are taken
+between two states of a loop of the recorder's own `loop.rate`, when the loop has its answer and
+waits (``runtime/aside.py``). The middleware keeps them, and when they came. A thread of its own
+writes the bytes as received (the twin without ROS is ``recording/queued.py``). It records whatever
+there is and never holds up the loop, except that the loop's first sample waits for it when
+`loop.peers` names it.
 """
 
 from __future__ import annotations
@@ -32,23 +33,18 @@ from dz_ros.recording.channels import CHANNELS
 from dz_ros.recording.description import default_info
 from dz_ros.recording.queued import QueuedWriter
 from dz_ros.recording.writer import RunWriter
-from dz_ros.runtime.aside import until_middle
+from dz_ros.runtime.aside import turn
 
 SERVE = 0.1
 """Services, such as those of the parameters, are served this often [s]."""
 BEHIND = 2000
 """More messages than this in the queue mean that the disk does not keep up."""
-LET_COLLECT = {'realtime': 0.05, 'lockstep': 0.01}
-"""`loop.timing` → for how long messages are let collect, at most [s]."""
-TAKING, SHARE = 6e-5, 0.15
-"""To take what one sample sends takes about so long [s]; they may keep a core for this share of a
-period, or the loop would miss its next beat …"""
-LEAST = 0.001
-"""… but are let collect for so long at least [s]."""
-BETWEEN = (0.0005, 0.05)
-"""In real time messages are taken between two states for periods within these [s]."""
-FRESH = 1.0
-"""A state that came longer ago tells nothing of when the next ones come [s]."""
+LEAST, MOST = 0.001, 0.05
+"""In real time messages are let collect for times within these, and to the next middle [s]."""
+TAKING = 6e-5
+"""To take what one sample sends takes about so long [s]."""
+LOCKSTEP = 0.01
+"""In lockstep messages are let collect for so long [s]."""
 GATHER, HOLD = 0.01, 10.0
 """While the loop gathers, it is looked so often who listens, for so long at most [s]."""
 QUIET = 0.2
@@ -81,7 +77,7 @@ class RecorderNode(LoopNode):
         self._arrivals = Arrivals(_epoch(), time.monotonic_ns())
         self._batch: list[Arrival] = []
         self._state_ns = 0      # when the newest state came, by the wall clock
-        self._beat = -FRESH     # the same by the steady clock [s]
+        self._beat = 0.0        # the same by the steady clock [s]
         # Who listens first is served first: where the loop waits for the recorder, it comes last.
         waited_for = self.get_name() in self.configuration.loop.peers
         self._held: list[str] = []
@@ -180,14 +176,10 @@ class RecorderNode(LoopNode):
         """Return for how long messages are let collect now [s]."""
         if self._held:
             return GATHER
-        loop, now = self.configuration.loop, time.monotonic()
-        longest, period = LET_COLLECT[loop.timing], loop.period
         if self.lockstep:
-            return longest
-        least = min(max(SHARE * period / TAKING * period, LEAST), longest)
-        if not BETWEEN[0] <= period <= BETWEEN[1] or abs(now - self._beat) > FRESH:
-            return least
-        return until_middle(now, self._beat, period, least)
+            return LOCKSTEP
+        return turn(time.monotonic(), self._beat, self.configuration.loop.period, TAKING, LEAST,
+                    MOST)
 
     def run(self) -> None:
         """Record until told to end and nothing more arrives, or until the disk refuses."""

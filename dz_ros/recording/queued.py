@@ -63,7 +63,7 @@ class QueuedWriter:
         self.put_all([(topic, payload, log_time_ns, publish_time_ns)])
 
     def put_all(self, messages: Sequence[QueuedMessage]) -> None:
-        """Give messages to be stored, at a wake-up of the thread for all of them."""
+        """Give messages to be stored, at one wake-up of the thread; they are not copied."""
         if messages:
             with self._giving:
                 self._given += len(messages)

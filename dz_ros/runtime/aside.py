@@ -20,9 +20,33 @@ SHARE = 0.3
 EVERY = 200
 """One beat in so many is waited for."""
 MIDDLE = 0.55
-"""Who has work for several beats at once begins this share of a period after one of them."""
+"""Who has work for several beats at once begins this share of a period after one of them …"""
+ROOM = 0.15
+"""… and may keep a core for this share of a period, or the next beat would be late."""
+SHORTEST, LONGEST = 0.0005, 0.05
+"""Only for periods within these is there a time between two beats to speak of [s]."""
+FRESH = 1.0
+"""A beat that came longer ago tells nothing of when the next ones come [s]."""
 AT_ONCE = 0.05
 """What is heard within this share of a period after listening began had come before."""
+
+
+def turn(now: float, beat: float, period: float, work: float, least: float, most: float) -> float:
+    """Return how long to let work of several beats collect before it is done in one turn [s].
+
+    Args:
+        now: Steady clock [s].
+        beat: When a beat came of late [s].
+        period: T [s].
+        work: How long the work of one beat takes, about [s].
+        least: Shortest time [s].
+        most: Longest time, up to which a turn begins at the next middle between two beats [s].
+    """
+    beats = ROOM * period / work
+    collect = min(max(beats * period, least), most)
+    if not SHORTEST <= period <= LONGEST or abs(now - beat) > FRESH:
+        return collect
+    return until_middle(now, beat, period, collect)
 
 
 def until_middle(now: float, beat: float, period: float, least: float) -> float:

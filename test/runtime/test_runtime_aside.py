@@ -2,7 +2,7 @@
 
 import pytest
 
-from dz_ros.runtime.aside import Aside, EVERY, MIDDLE, SHARE, until_middle
+from dz_ros.runtime.aside import Aside, EVERY, FRESH, MIDDLE, SHARE, turn, until_middle
 
 T = 0.005
 
@@ -77,3 +77,22 @@ def test_work_for_several_beats_begins_between_two_of_them(now, beat, least):
     assert least - 1e-9 <= pause <= least + T
     share = (now + pause - beat) / T % 1.0
     assert share == pytest.approx(MIDDLE, abs=1e-6)
+
+
+@pytest.mark.parametrize(('rate', 'samples'), [
+    (1.0, None), (10.0, None), (20.0, 1), (200.0, 10), (500.0, 5), (1000.0, 2.5), (2000.0, 2),
+    (10_000.0, None)])
+def test_a_turn_fits_between_two_beats_where_there_is_room(rate, samples):
+    period = 1.0 / rate
+    pauses = [turn(10.0 + 0.1 * k * period, 10.0, period, 6e-5, 0.001, 0.05) for k in range(10)]
+    if samples is None:                                 # no time between two beats to speak of
+        assert pauses == [0.05 if rate < 100.0 else 0.001] * 10
+        return
+    for k, pause in enumerate(pauses):
+        assert samples * period <= pause + 1e-9 <= (samples + 1.5) * period
+        assert (0.1 * k + pause / period) % 1.0 == pytest.approx(MIDDLE, abs=1e-6)
+
+
+def test_a_beat_of_long_ago_or_to_come_tells_nothing():
+    for beat in (10.0 - 1.1 * FRESH, 10.0 + 1.1 * FRESH, -1.7e9):
+        assert turn(10.0, beat, T, 6e-5, 0.001, 0.05) == 0.05
