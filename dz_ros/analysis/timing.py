@@ -7,7 +7,9 @@ Three kinds of evidence, none of which compares the clocks of two machines unles
   period. *within*: |period − T| ≤ 1 ms; *late*: more than 1 ms too long; *too late*: more than
   one whole period too long.
 - **latency** of the answer, state → command, matched by the echoed seq: publish to publish, and
-  as the recorder saw both (log to log).
+  as the recorder saw both (log to log). A message reaches the recorder after those in a hurry, the
+  state a little later than the command by comparison, so log to log can be shorter than publish to
+  publish and even a little below zero; the way through the loop is what the other one tells.
 - **in band**, from what the messages themselves carry: how long the controller held a state,
   the round trip by the plant's own clock, their difference, which is the transport both ways, and
   how many whole samples old the newest command was when a state was measured.

@@ -40,7 +40,7 @@ def turn(now: float, beat: float, period: float, work: float, least: float, most
         period: T [s].
         work: How long the work of one beat takes, about [s].
         least: Shortest time [s].
-        most: Longest time, up to which a turn begins at the next middle between two beats [s].
+        most: Longest time, before the wait for the next middle between two beats [s].
     """
     beats = ROOM * period / work
     collect = min(max(beats * period, least), most)
