@@ -9,13 +9,14 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, String
+from std_srvs.srv import Trigger
 
 from dz_ros.core.records import Command, State, Truth
 from dz_ros.errors import MessageError
 from dz_ros.nodes import topics
+from dz_ros.nodes.base import LoopNode
 from dz_ros.recording.cdr import ArrayCodec
 
 EVERY = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -41,16 +42,18 @@ class Evidence:
         taken: seq → how long after hearing the state it answers each was sent [s].
         wrong_labels: Labels of states that are not those of the order; '' = none.
         tells: Whether events or truth of the node say what the actuator does.
+        still: The longest time without a state since it was last set to 0 [s].
     """
 
-    def __init__(self, node: Any, answer: Callable[[int, float], None]) -> None:
+    def __init__(self, node: LoopNode, answer: Callable[[int, float], None]) -> None:
         self.states: list[State] = []
         self.arrivals: list[float] = []
         self.commands: dict[int, float] = {}
         self.taken: dict[int, float] = {}
         self.wrong_labels = ''
         self.tells = False
-        self._node: Node = node
+        self.still = 0.0
+        self._node = node
         self._answer = answer
         self._decode = ArrayCodec(State.labels(node.configuration.plant.order)).decode
         self._truth = ArrayCodec(Truth.labels()).decode
@@ -67,14 +70,12 @@ class Evidence:
 
     def connect(self) -> None:
         """Offer commands."""
-        offer: Any = self._node
         self.commands.clear()
-        self._send = offer.offer('command', Command.labels())
+        self._send = self._node.offer('command', Command.labels())
 
     def disconnect(self) -> None:
         """Take the offer back."""
-        withdrawing: Any = self._node
-        withdrawing.withdraw()
+        self._node.withdraw()
 
     def begin(self) -> None:
         """Forget what was heard so far but the newest state."""
@@ -98,10 +99,25 @@ class Evidence:
         publisher = self._node.create_publisher(
             Float64MultiArray, 'command', topics.offered('command'))
         while not publisher.get_subscription_count():
-            spin: Any = self._node
-            spin.spin()
+            self._node.spin()
         publisher.publish(ArrayCodec(tuple(labels)).encode(numbers))
         self._node.destroy_publisher(publisher)
+
+    def reset(self, limit: float) -> str:
+        """Call the node's reset service if it has one; return why it refused within a time [s]."""
+        said, node = '', self._node
+        for publisher in node.get_publishers_info_by_topic('state'):
+            place = f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}/reset'
+            client = node.create_client(Trigger, place)
+            node.spin_until(time.monotonic() + 1.0, client.service_is_ready)
+            if client.service_is_ready():
+                future = client.call_async(Trigger.Request())
+                node.spin_until(time.monotonic() + limit, future.done)
+                answer = future.result() if future.done() else None
+                said = 'reset does not answer' if answer is None else (
+                    '' if answer.success else answer.message)
+            node.destroy_client(client)
+        return said
 
     def safe_after(self, safe: float) -> int | None:
         """Return after how many samples the actuator held the safe command; None = not seen."""
@@ -130,8 +146,11 @@ class Evidence:
         except (ValueError, OverflowError):     # seq is no number
             self.wrong_labels = self.wrong_labels or f'seq = {numbers[0]}'
             return
+        now = time.monotonic()
+        if self.arrivals:
+            self.still = max(self.still, now - self.arrivals[-1])
         self.states.append(state)
-        self.arrivals.append(time.monotonic())
+        self.arrivals.append(now)
         self._answer(state.seq, state.stamp)
 
     def _on_truth(self, payload: bytes) -> None:
