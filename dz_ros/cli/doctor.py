@@ -19,7 +19,7 @@ import sys
 from typing import Any
 
 from dz_ros.errors import LoopError
-from dz_ros.runtime.privileges import ADVICE
+from dz_ros.runtime.privileges import ADVICE, usable_cores
 from dz_ros.runtime.process import PARENT
 
 SECONDS = 1.5
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Look, measure, print; return 0."""
     if not 0.1 <= arguments.seconds <= WHOLE / 2.0:
         raise LoopError(f'--seconds {arguments.seconds:g}: must be from 0.1 to {WHOLE / 2.0:g}')
-    last = max(_cores())
+    last = max(usable_cores())
     setups: dict[str, list[str]] = {
         'as any process': [], 'process.lock_memory: true': ['--lock'],
         f"process.cores: '{last}'": ['--cores', str(last)],
@@ -65,16 +65,9 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _cores() -> Sequence[int]:
-    """Return the cores this process may use."""
-    if hasattr(os, 'sched_getaffinity'):
-        return sorted(os.sched_getaffinity(0))
-    return range(os.cpu_count() or 1)
-
-
 def _machine() -> dict[str, str]:
     """Return what matters of the machine, in words."""
-    found = {'cores': str(len(_cores())), 'system': f'{platform.system()} {platform.release()}',
+    found = {'cores': str(len(usable_cores())), 'system': f'{platform.system()} {platform.release()}',
              'Python': platform.python_version()}
     version = platform.version()
     found['kernel'] = next((name for name in ('PREEMPT_RT', 'PREEMPT_DYNAMIC', 'PREEMPT')
@@ -115,7 +108,7 @@ def _measure(words: Sequence[str], seconds: float) -> dict[str, Any]:
 @contextlib.contextmanager
 def _load(limit: float) -> Iterator[None]:
     """Keep every core busy for a while, at most so long [s]."""
-    busy = [subprocess.Popen([sys.executable, '-c', BUSY, str(limit)]) for _ in _cores()]
+    busy = [subprocess.Popen([sys.executable, '-c', BUSY, str(limit)]) for _ in usable_cores()]
     try:
         yield
     finally:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 import json
+import os
 import time
 from typing import Any
 
@@ -12,12 +13,14 @@ from rclpy.duration import Duration
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.errors import LoopError, MessageError
 from dz_ros.nodes import topics
 from dz_ros.recording.cdr import ArrayCodec
 from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
+from dz_ros.runtime.privileges import usable_cores
 from dz_ros.version import version
 
 SPIN_LIMIT = 0.05
@@ -26,6 +29,13 @@ DELIVERY = 4.0
 """Longest wait for listeners to have what was published [s]; DDS repairs losses every 3."""
 PATIENCE = 5.0
 """A node that waits for its peers says so after each of these [s]."""
+
+
+POLL = 200e-6 if len(usable_cores()) > 1 else 0.0
+"""In lockstep a node looks for messages for so long before it sleeps [s]; not on a single core,
+which those need who are to answer."""
+SERVE = 0.02
+"""While messages come, everything else is served after each of these [s]."""
 
 
 class LoopNode(Node):
@@ -47,9 +57,9 @@ class LoopNode(Node):
                                              topics.offered('events'))
         self._records: dict[str, tuple[Publisher, ArrayCodec]] = {}
         self._claims: list[Any] = []
-        self._listened: list[Any] = []
+        self._listened: list[tuple[Subscription, Callable[[bytes], None]]] = []
+        self._serve_at = 0.0
         self._counts: dict[str, int] = {}
-        self._received = 0
         self._executor = executor or _executor()
         self._executor.add_node(self)
 
@@ -92,7 +102,6 @@ class LoopNode(Node):
         decode = ArrayCodec(tuple(labels)).decode
 
         def received(payload: bytes) -> None:
-            self._received += 1
             try:
                 numbers = decode(payload)
             except MessageError as error:
@@ -101,14 +110,15 @@ class LoopNode(Node):
             callback(numbers)
 
         qos = topics.LOCKSTEP if self.lockstep else topics.NEWEST
-        self._listened.append(self.create_subscription(topics.TYPES[topic], topic, received, qos,
-                                                       raw=True))
+        subscription = self.create_subscription(topics.TYPES[topic], topic, received, qos,
+                                                raw=True)
+        self._listened.append((subscription, received))
 
     def withdraw(self) -> None:
         """Take back every offer and stop listening to the loop's topics."""
         for publisher, _ in self._records.values():
             self.destroy_publisher(publisher)
-        for subscription in self._listened:
+        for subscription, _ in self._listened:
             self.destroy_subscription(subscription)
         for held in self._claims:
             held.close()
@@ -157,7 +167,7 @@ class LoopNode(Node):
         """Return which peers do not listen yet to what this node publishes, in words."""
         found = []
         for topic, (publisher, _) in self._records.items():
-            wanted = self._peers_among(topics.LISTENERS[topic])
+            wanted = self._peers_among(topics.listeners(topic, self.lockstep))
             if publisher.get_subscription_count() < len(wanted):
                 found.append(f'{", ".join(wanted)} to listen to {publisher.topic_name} '
                              '(loop.peers says who is waited for)')
@@ -206,12 +216,35 @@ class LoopNode(Node):
         """Serve one callback, or none for a while [s]."""
         self._executor.spin_once(timeout_sec=min(limit, SPIN_LIMIT))
 
-    def spin_out(self) -> None:
-        """Serve callbacks until one finds no message: a look for nothing costs as much as one."""
-        before = -1
-        while before != self._received and not self.halted:
-            before = self._received
-            self._executor.spin_once(timeout_sec=0.0)
+    def poll(self, done: Callable[[], bool] = lambda: False) -> bool:
+        """Take the loop's messages without sleeping in between; for lockstep.
+
+        The other side answers within the time that waking up takes. Everything else is served
+        now and then.
+
+        Returns:
+            False where none came for `POLL` [s]: sleep then, `spin` or `spin_until`.
+        """
+        give_up = time.monotonic() + POLL
+        while not (done() or self.halted):
+            taken = False
+            for subscription, received in self._listened:
+                found = subscription.handle.take_message(subscription.msg_type, True)
+                if found is not None:
+                    received(found[0])
+                    taken = True
+            now = time.monotonic()
+            if now > self._serve_at:
+                self._serve_at = now + SERVE
+                self._executor.spin_once(timeout_sec=0.0)
+                return True
+            if taken:
+                give_up = now + POLL
+            elif now > give_up:
+                return False
+            else:
+                os.sched_yield()
+        return True
 
     def flush(self) -> None:
         """Wait until what was published has reached its reliable listeners."""

@@ -20,17 +20,26 @@ from rosgraph_msgs.msg import Clock
 from dz_ros.errors import LoopError
 from dz_ros.nodes.base import PATIENCE
 from dz_ros.nodes.hosting import Hosting
+from dz_ros.nodes.topics import PACE
 from dz_ros.recording.cdr import encode_clock
 from dz_ros.runtime.deadlines import Deadlines
 
 REPEAT = 0.25
 """A state that waits for its command is published again after each of these [s]."""
+SHOW = 50
+"""In lockstep every sample of so many is also published on `pace`, for the trajectory."""
 GONE = 10.0
 """In lockstep, a command that does not come within this means that its sender is gone [s]."""
 
 
 class ActuatorHost(Hosting):
     """Hosts a driver and keeps the loop's time."""
+
+    def set_up(self) -> None:
+        """Offer states, listen to commands; in lockstep also say where the loop is."""
+        super().set_up()
+        if self.lockstep:
+            self._publish_pace = self.offer('pace', PACE)
 
     def work(self) -> bool:
         """Run to the last sample of the configured duration, or while active.
@@ -43,6 +52,7 @@ class ActuatorHost(Hosting):
         said = time.monotonic()
         while not (self._answered() or self.halted):
             if self._publish():
+                self._show()
                 self.spin_until(time.monotonic() + REPEAT, self._answered)
             else:
                 self.spin_until(time.monotonic() + self._period)
@@ -88,6 +98,8 @@ class ActuatorHost(Hosting):
         while not self.halted:
             asked = time.monotonic()
             while not (self._answered() or self._measured is None or self.halted):
+                if self.poll(self._answered):
+                    continue
                 self.spin_until(time.monotonic() + REPEAT, self._answered)
                 if self._answered():
                     break
@@ -95,9 +107,12 @@ class ActuatorHost(Hosting):
                     raise LoopError(f'no command for sample {self._seq} within {GONE:g} s: the '
                                     'controller is gone, or waits for a trajectory that is')
                 self._publish()
+                self._show()
             if self.halted or self._seq >= last:
                 break
             self._next((self._seq + 1) * self._period)
+            if self._seq % SHOW == 0:
+                self._show()
             clock.publish(encode_clock(round(self._seq * self._period * 1e9)))
             self.diagnosing.look()
         self.destroy_publisher(clock)
@@ -108,6 +123,11 @@ class ActuatorHost(Hosting):
         self.get_logger().info(f'{self._seq + 1} samples in lockstep, {self._seq / elapsed:.0f} '
                                'per second')
         return True
+
+    def _show(self) -> None:
+        """In lockstep, say where the loop is to whoever sends ahead."""
+        if self.lockstep:
+            self._publish_pace((self._seq, self._t))
 
     def _finish(self, **details: int) -> None:
         """Publish what is left of the last sample."""

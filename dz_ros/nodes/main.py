@@ -7,6 +7,7 @@ line as well.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import importlib
 import os
 from pathlib import Path
@@ -17,7 +18,7 @@ from typing import Any
 
 from dz_ros.errors import DzRosError, NO_RCLPY
 from dz_ros.runtime.claim import domain
-from dz_ros.runtime.privileges import ADVICE, ask
+from dz_ros.runtime.privileges import ADVICE, ask, usable_cores
 from dz_ros.runtime.process import end_with_parent, settle
 
 NODES = {'plant_node': 'PlantNode', 'actuator_node': 'ActuatorNode',
@@ -29,6 +30,9 @@ NODES = {'plant_node': 'PlantNode', 'actuator_node': 'ActuatorNode',
 """Executable → class in the module of the same name."""
 PRIORITY = {'plant_node': 0, 'actuator_node': 0, 'controller_node': 0, 'trajectory_node': -1}
 """Node that may be set up by the section `process` → its priority less `process.priority`."""
+SIDES = {'plant_node': 0, 'actuator_node': 0, 'controller_node': 1}
+"""In lockstep the two that take turns have every other core each, for neither sleeps long enough
+to make room for the other."""
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 """Environment variables that name a file of profiles for Fast DDS."""
 
@@ -96,8 +100,11 @@ def _set_up(name: str, node: Any) -> None:
     wanted, own = configuration.process, PRIORITY[name]
     settle(wanted.collect_garbage)
     realtime = configuration.loop.timing == 'realtime'
+    cores: Iterable[int] = wanted.core_numbers if own == 0 else ()
+    if not realtime and not cores and name in SIDES:
+        cores = usable_cores()[SIDES[name]::2]
     refused = ask(max(wanted.priority + own, 1) if realtime and wanted.priority else 0,
-                  wanted.core_numbers if own == 0 else (), wanted.lock_memory and own == 0)
+                  cores, wanted.lock_memory and own == 0)
     if refused:
         node.get_logger().warning(f'refused: {", ".join(refused)}; {ADVICE}')
 

@@ -87,7 +87,7 @@ class RecorderNode(LoopNode):
             if self.lockstep and name != 'events':      # what topics.LOCKSTEP offers
                 qos = replace(qos, history='keep_all', depth=0)
             self._writer.add_topic(self.resolve_topic_name(name), channel.type.name, qos)
-            if waited_for and name in topics.LISTENERS:
+            if waited_for and topics.listeners(name):
                 self._held.append(name)
             else:
                 self._listen(name)
@@ -104,7 +104,7 @@ class RecorderNode(LoopNode):
         """Listen to the topics that those of the loop who hear them have begun to listen to."""
         late = time.monotonic() > self._held_until
         for name in list(self._held):
-            if late or not self.deaf(name, topics.LISTENERS[name]):
+            if late or not self.deaf(name, topics.listeners(name, self.lockstep)):
                 self._held.remove(name)
                 self._listen(name)
 

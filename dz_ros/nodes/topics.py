@@ -23,7 +23,7 @@ NEWEST = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=1,
 
 TYPES: Mapping[str, Any] = {
     name: String if channel.type is TEXT else Float64MultiArray
-    for name, channel in CHANNELS.items()}
+    for name, channel in CHANNELS.items()} | {'pace': Float64MultiArray}
 """Topic → message class."""
 
 
@@ -52,12 +52,21 @@ def everything(topic: str, lockstep: bool = False) -> QoSProfile:
     return qos
 
 
-LISTENERS = {'reference': ('controller_node', 'recorder_node'),
+_LISTENERS = {'reference': ('controller_node', 'recorder_node'),
              'state': ('controller_node', 'trajectory_node', 'recorder_node'),
              'command': ('plant_node', 'recorder_node'),
              'terms': ('recorder_node',),
              'truth': ('recorder_node',)}
-"""Topic → nodes its publisher waits for before the first sample, if `loop.peers` has them."""
+PACE = ('seq', 'stamp')
+"""Labels of `pace`, by which the trajectory knows in lockstep how far the loop is."""
+_IN_LOCKSTEP = {'state': ('controller_node', 'recorder_node'), 'pace': ('trajectory_node',)}
+
+
+def listeners(topic: str, lockstep: bool = False) -> tuple[str, ...]:
+    """Return who a publisher waits for before the first sample, if `loop.peers` has them."""
+    found = _IN_LOCKSTEP.get(topic) if lockstep else None
+    return found or _LISTENERS.get(topic, ())
+
 
 STANDS_FOR = {'actuator_node': 'plant_node'}
-"""Node → the one whose place it takes in `LISTENERS` and in `loop.peers`."""
+"""Node → the one whose place it takes in `listeners` and in `loop.peers`."""

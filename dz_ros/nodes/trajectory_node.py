@@ -4,8 +4,8 @@ Publishes `reference`, subscribes `state` as its clock: after state k it sends t
 the stamp of sample k + 1, so the controller need not wait for it. It does so a third of a period
 later (``runtime/aside.py``): at once, it would keep the controller from the core it needs. The
 loop has one clock, the plant's; if states stop, so does the reference. In lockstep the references
-are sent many samples ahead, so that a step need not wait for a third process; a trajectory changed
-meanwhile is followed after those.
+are sent many samples ahead, so that a step need not wait for a third process, and the clock is
+`pace`, which comes once in so many samples; a trajectory changed meanwhile is followed after those.
 """
 
 from __future__ import annotations
@@ -17,14 +17,13 @@ from dz_ros.core.records import Reference, State
 from dz_ros.core.safety.guards import SequenceGuard, Verdict
 from dz_ros.core.safety.health import Rejections, Report
 from dz_ros.nodes.managed import ManagedNode
+from dz_ros.nodes.topics import PACE
 from dz_ros.runtime.aside import Aside
 
 CATCH_UP = 100
 """References of states that never came here are sent late, up to so many, to leave no gap."""
 AHEAD = 100
-"""References sent ahead in lockstep, at least half as many."""
-LET_COLLECT = 0.005
-"""In lockstep, with references sent ahead, states are let collect for so long [s]."""
+"""References sent ahead in lockstep when the plant shows where it is."""
 LAST = 1e9
 """Stamps beyond this are none [s]."""
 SHORTEST, LONGEST = 0.002, 0.05
@@ -52,7 +51,8 @@ class TrajectoryNode(ManagedNode):
         """Return how the generator has been since the last report."""
         report = super().report()
         report.put('newest reference', self._sent, 'd')
-        report.put('states lost', self._guard.skipped, 'd')
+        if not self.lockstep:
+            report.put('states lost', self._guard.skipped, 'd')
         self._rejections.report(report, {f'state: {reason}': count for reason, count
                                          in self._guard.rejected().items()})
         return report
@@ -75,32 +75,32 @@ class TrajectoryNode(ManagedNode):
             return False
         if not self._listening:
             self._listening = True
-            self.take('state', State.labels(self._order), self._on_state)
+            if self.lockstep:
+                self.take('pace', PACE, self._follow)
+            else:
+                self.take('state', State.labels(self._order), self._follow)
         while not self.halted:
             self.spin()
             self.diagnosing.look()
-            if self.lockstep:   # waking up costs more than answering; the loop needs the time
-                time.sleep(LET_COLLECT)
-                self.spin_out()
-            elif self._aside is not None:
+            if self._aside is not None:
                 self._aside.rest()
         return False
 
-    def _on_state(self, numbers: tuple[float, ...]) -> None:
-        """Send what is wanted by a state, and what was not sent before."""
+    def _follow(self, numbers: tuple[float, ...]) -> None:
+        """Send what is wanted where the loop is, by seq and stamp, and what was not sent before."""
         now = time.monotonic()
         verdict = self._guard.judge(numbers, 0.0, resync=True)
         if not self.active or verdict not in (Verdict.TAKEN, Verdict.REPEATED):
             return
-        state = State.from_numbers(numbers)
-        if abs(state.stamp) > LAST:
+        newest, now_stamp = int(numbers[0]), numbers[1]
+        if abs(now_stamp) > LAST:
             return
         if self._aside is not None:
-            self._aside.heard(state.stamp, now)
-        first, after = self._wanted(state.seq, verdict)
-        sample = round(state.stamp / self._period)
+            self._aside.heard(now_stamp, now)
+        first, after = self._wanted(newest, verdict)
+        sample = round(now_stamp / self._period)
         for seq in range(first, after):
-            stamp = (sample + seq - state.seq) * self._period
+            stamp = (sample + seq - newest) * self._period
             try:
                 x_d = self._trajectory(stamp)
             except (ArithmeticError, ValueError) as error:
@@ -110,7 +110,7 @@ class TrajectoryNode(ManagedNode):
             self._publish_reference((seq, stamp, *x_d))
 
     def _wanted(self, seq: int, verdict: Verdict) -> tuple[int, int]:
-        """Return the first reference to send now that state `seq` has come, and the one after."""
+        """Return the first reference to send now that the loop is at `seq`, and the one after."""
         ahead = self._sent - seq
         if not self.lockstep:
             first = self._sent + 1 if -CATCH_UP < ahead <= 0 else seq
@@ -118,8 +118,6 @@ class TrajectoryNode(ManagedNode):
             return first, seq + 2
         if verdict is Verdict.REPEATED:     # what was sent may not have arrived
             return seq, seq + 2
-        if AHEAD // 2 < ahead <= AHEAD:
-            return seq, seq
         first = self._sent + 1 if -CATCH_UP < ahead <= AHEAD else seq
         self._sent = max(min(seq + AHEAD, self._end), seq + 1)
         return first, self._sent + 1

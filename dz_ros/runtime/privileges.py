@@ -16,6 +16,13 @@ ADVICE = ('run it as root, or allow it in /etc/security/limits.conf (rtprio 98, 
           'unlimited) and log in anew; dz doctor says what it would gain')
 
 
+def usable_cores() -> list[int]:
+    """Return the cores this process may run on, by number."""
+    if hasattr(os, 'sched_getaffinity'):
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count() or 1))
+
+
 def _threads() -> Iterable[int]:
     """Return the ids of all threads of this process; threads made later inherit from theirs."""
     return [int(path.name) for path in Path('/proc/self/task').iterdir()]

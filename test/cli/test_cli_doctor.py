@@ -6,12 +6,13 @@ import pytest
 
 from dz_ros.cli import doctor
 from dz_ros.cli.main import main
+from dz_ros.runtime.privileges import usable_cores
 
 
 def test_the_doctor_measures_what_is_permitted(capsys):
     assert main(['doctor', '--seconds', '0.1', '--json']) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found['machine']['cores'] == str(len(doctor._cores()))
+    assert found['machine']['cores'] == str(len(usable_cores()))
     assert found['idle']['as any process']['ticks'] == 20
     assert 'as any process' in found['busy']
     for name, measured in found['idle'].items():
