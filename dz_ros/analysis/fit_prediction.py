@@ -48,7 +48,7 @@ class Prediction:
         plant = (self._b, *p[:r], *self._rest)
         m = p[r] / self._b
         zone = (0.0, m, m, p[r + 1], p[r + 2], *(0.0,) * 8)
-        work = ([0.0] * r, *([0.0] * self.order for _ in range(5)))
+        work = ([0.0] * r, *([0.0] * self.order for _ in range(4)))
         return [self._segment(item, start, plant, zone, work)
                 for item, start in zip(self.segments, starts.tolist(), strict=True)]
 

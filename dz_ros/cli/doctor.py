@@ -67,7 +67,8 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _machine() -> dict[str, str]:
     """Return what matters of the machine, in words."""
-    found = {'cores': str(len(usable_cores())), 'system': f'{platform.system()} {platform.release()}',
+    found = {'cores': str(len(usable_cores())),
+             'system': f'{platform.system()} {platform.release()}',
              'Python': platform.python_version()}
     version = platform.version()
     found['kernel'] = next((name for name in ('PREEMPT_RT', 'PREEMPT_DYNAMIC', 'PREEMPT')

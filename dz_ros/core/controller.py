@@ -18,7 +18,6 @@ that violates a limit on error or estimates, or gives a number that is not finit
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import replace
 import math
 
 from dz_ros.core.configuration import Configuration
@@ -104,8 +103,12 @@ class Controller:
 
     def has_reference_for(self, state: State) -> bool:
         """Whether the reference meant for this very state, by seq or stamp, has arrived."""
+        references = self._references
+        place = state.seq - references[0].seq if references else -1
+        if 0 <= place < len(references) and references[place].seq == state.seq:
+            return True         # as in a row without gaps; the rest says the same, slower
         return any(item.seq == state.seq or abs(item.stamp - state.stamp) < SNAP
-                   for item in self._references)
+                   for item in references)
 
     def respond(self, state: State) -> tuple[Command, Terms] | None:
         """Return command and terms for a state; None where it must not be answered.
@@ -144,7 +147,7 @@ class Controller:
             self._check(command, memory, terms)
         v = self.gate.let_out(command.v, state.stamp)
         if v != command.v:
-            command = replace(command, v=v)
+            command = command._replace(v=v)
         self.count += 1
         self._earlier, self.memory = self.memory, memory
         self._signals = terms.signals

@@ -27,7 +27,7 @@ def identity(function: Any) -> Any:
 
 def make_advance(regressors: Callable[..., None], disturbance: Callable[..., float],
                  jit: Callable[[Any], Any] = identity) -> Advance:
-    """Return ``advance(x, v, t, h, steps, p, z, y, k1, k2, k3, k4, stage, push)`` for a plant.
+    """Return ``advance(x, v, t, h, steps, p, z, y, k1, k2, k3, stage, push)`` for a plant.
 
     It moves ``x`` (shape (n,), in place) from t to t + steps·h with v held. ``p`` are the plant's
     constants (b, a_1…a_r, …), ``z`` those of the dead-zone; ``y``, shape (r,), and the rest, shape
@@ -42,10 +42,9 @@ def make_advance(regressors: Callable[..., None], disturbance: Callable[..., flo
     regressors = jit(regressors)
     disturbance = jit(disturbance)
 
-    def acceleration(x: Buffer, v: float, t: float, p: Numbers, z: Numbers, y: Buffer,
-                     push: float) -> float:
+    def acceleration(x: Buffer, w: float, t: float, p: Numbers, y: Buffer, push: float) -> float:
         regressors(x, p, y)
-        total: float = p[0] * zone(v, t, z) - disturbance(t, x, p)
+        total: float = p[0] * w - disturbance(t, x, p)
         for i in range(len(y)):
             total -= p[1 + i] * y[i]
         if push != 0.0:
@@ -55,33 +54,37 @@ def make_advance(regressors: Callable[..., None], disturbance: Callable[..., flo
     acceleration = jit(acceleration)
 
     def advance(x: Buffer, v: float, t: float, h: float, steps: int, p: Numbers, z: Numbers,
-                y: Buffer, k1: Buffer, k2: Buffer, k3: Buffer, k4: Buffer,
-                stage: Buffer, push: float = 0.0) -> None:
+                y: Buffer, k1: Buffer, k2: Buffer, k3: Buffer, stage: Buffer,
+                push: float = 0.0) -> None:
         last = len(x) - 1
         half = 0.5 * h
         sixth = h / 6.0
         for step in range(steps):
             now = t + step * h
+            w = zone(v, now, z)
+            top1 = acceleration(x, w, now, p, y, push)
             for i in range(last):
                 k1[i] = x[i + 1]
-            k1[last] = acceleration(x, v, now, p, z, y, push)
-            for i in range(last + 1):
                 stage[i] = x[i] + half * k1[i]
+            stage[last] = x[last] + half * top1
+            if z[0] != 0.0:     # it drifts
+                w = zone(v, now + half, z)
+            top2 = acceleration(stage, w, now + half, p, y, push)
             for i in range(last):
                 k2[i] = stage[i + 1]
-            k2[last] = acceleration(stage, v, now + half, p, z, y, push)
-            for i in range(last + 1):
                 stage[i] = x[i] + half * k2[i]
+            stage[last] = x[last] + half * top2
+            top3 = acceleration(stage, w, now + half, p, y, push)
             for i in range(last):
                 k3[i] = stage[i + 1]
-            k3[last] = acceleration(stage, v, now + half, p, z, y, push)
-            for i in range(last + 1):
                 stage[i] = x[i] + h * k3[i]
+            stage[last] = x[last] + h * top3
+            if z[0] != 0.0:
+                w = zone(v, now + h, z)
+            top4 = acceleration(stage, w, now + h, p, y, push)
             for i in range(last):
-                k4[i] = stage[i + 1]
-            k4[last] = acceleration(stage, v, now + h, p, z, y, push)
-            for i in range(last + 1):
-                x[i] += sixth * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
+                x[i] += sixth * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + stage[i + 1])
+            x[last] += sixth * (top1 + 2.0 * top2 + 2.0 * top3 + top4)
 
     compiled: Advance = jit(advance)
     return compiled

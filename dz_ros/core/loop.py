@@ -84,7 +84,7 @@ def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity
     def loop(last: int, period: float, substeps: int, delay: int, limit: float, kick_from: int,
              kick_to: int, kick: float, plant: Numbers, zone_numbers: Numbers, motion: Numbers,
              gains: Numbers, x: Buffer, y: Buffer, x_d: Buffer, memory: Buffer, new_memory: Buffer,
-             terms: Buffer, measured: Buffer, k1: Buffer, k2: Buffer, k3: Buffer, k4: Buffer,
+             terms: Buffer, measured: Buffer, k1: Buffer, k2: Buffer, k3: Buffer,
              stage: Buffer, noise: Buffer, out_x: Buffer, out_measured: Buffer, out_x_d: Buffer,
              out_v: Buffer, out_applied: Buffer, out_truth: Buffer, out_terms: Buffer) -> None:
         n = len(x)
@@ -116,7 +116,7 @@ def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity
             push = kick if kick_from <= k < kick_to else 0.0
             out_truth[3 * k + 2] = disturbance(t, x, plant) - push
             if k < last:
-                advance(x, held, t, h, substeps, plant, zone_numbers, y, k1, k2, k3, k4, stage,
+                advance(x, held, t, h, substeps, plant, zone_numbers, y, k1, k2, k3, stage,
                         push)
 
     function: Loop = jit(loop)
@@ -155,7 +155,7 @@ def simulate(configuration: Configuration, loop: Loop | None = None,
     columns = (n, n, n + 1, None, None, 3, width)  # None: one number a sample, no row
     numbers = (c.plant.constants, c.dead_zone.constants, c.trajectory.constants, c.law.constants,
                c.x0, np.zeros(r), np.zeros(n + 1), memory, np.zeros(len(memory)),
-               np.zeros(width), *np.zeros((6, n)), measurement_noise(c, count).ravel(),
+               np.zeros(width), *np.zeros((5, n)), measurement_noise(c, count).ravel(),
                *(np.zeros(count * (item or 1)) for item in columns))
     arguments: list[Any] = [np.array(item, dtype=float) for item in numbers]
     if loop is None:

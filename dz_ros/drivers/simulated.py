@@ -65,7 +65,7 @@ class SimulatedActuator(Driver):
         self._zone = c.dead_zone.constants
         self._disturbance = c.plant.disturbance
         self._advance = make_advance(c.plant.regressors, c.plant.disturbance)
-        self._work = ([0.0] * c.plant.regressor_count, *([0.0] * c.plant.order for _ in range(5)))
+        self._work = ([0.0] * c.plant.regressor_count, *([0.0] * c.plant.order for _ in range(4)))
         self._sigma = c.noise if any(c.noise) else None
         self._random = np.random.default_rng(c.loop.seed)
         self._pending: deque[tuple[float, float]] = deque()

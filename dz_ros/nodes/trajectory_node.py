@@ -5,7 +5,8 @@ the stamp of sample k + 1, so the controller need not wait for it. It does so a 
 later (``runtime/aside.py``): at once, it would keep the controller from the core it needs. The
 loop has one clock, the plant's; if states stop, so does the reference. In lockstep the references
 are sent many samples ahead, so that a step need not wait for a third process, and the clock is
-`pace`, which comes once in so many samples; a trajectory changed meanwhile is followed after those.
+`pace`, which comes once in so many samples; a trajectory changed meanwhile is followed after
+those.
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ class TrajectoryNode(ManagedNode):
         return False
 
     def _follow(self, numbers: tuple[float, ...]) -> None:
-        """Send what is wanted where the loop is, by seq and stamp, and what was not sent before."""
+        """Send what is wanted where the loop is (seq, stamp, …), and what was not sent before."""
         now = time.monotonic()
         verdict = self._guard.judge(numbers, 0.0, resync=True)
         if not self.active or verdict not in (Verdict.TAKEN, Verdict.REPEATED):

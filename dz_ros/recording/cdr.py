@@ -92,7 +92,8 @@ class ArrayCodec:
         Raises:
             MessageError: Other labels, another length, or not such a message at all.
         """
-        if self.matches(payload):
+        if (payload.startswith(self._prefix) and len(payload) == self.size) or (
+                self.matches(payload)):
             return self._unpack_from(payload, self.data_start)
         try:
             labels, values = decode_array(payload)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 from dz_ros.core.controller import SNAP
@@ -161,7 +160,7 @@ class Exchanges:
             return None
         del self._states[seq]
         self.carried += abs(used.stamp - state.stamp) >= SNAP
-        return Exchange(state, replace(used, seq=state.seq))
+        return Exchange(state, used._replace(seq=state.seq))
 
 
 def _keep(kept: dict[int, Any], seq: int, item: Any) -> None:

@@ -80,7 +80,7 @@ def integrate_held(plant, zone, x0, commands, substeps):
     advance = make_advance(plant.regressors, plant.disturbance)
     n = plant.order
     x, y = list(x0), [0.0] * plant.regressor_count
-    work = [[0.0] * n for _ in range(5)]
+    work = [[0.0] * n for _ in range(4)]
     states = []
     for k, v in enumerate(commands):
         advance(x, v, k * PERIOD, PERIOD / substeps, substeps, plant.constants, zone.constants, y,

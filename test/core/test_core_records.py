@@ -1,6 +1,5 @@
 """Records: their labels, their numbers, and a simulated run as channels of them."""
 
-import dataclasses
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ def test_numbers_are_what_the_labels_name(record, labels):
     assert len(numbers) == len(labels) == len(set(labels))
     assert labels[:2] == ('seq', 'stamp')
     assert numbers[:2] == (3, 0.015)
-    for name in set(labels) & {field.name for field in dataclasses.fields(record)}:
+    for name in set(labels) & set(record._fields):
         assert numbers[labels.index(name)] == getattr(record, name)
     assert all(isinstance(number, (int, float)) for number in numbers)
 
@@ -39,7 +38,7 @@ def test_records_that_travel_come_back_from_floats(record, labels):
 
 @pytest.mark.parametrize(('record', 'labels'), RECORDS)
 def test_records_do_not_change(record, labels):
-    with pytest.raises(dataclasses.FrozenInstanceError):
+    with pytest.raises(AttributeError):
         record.seq = 4
 
 

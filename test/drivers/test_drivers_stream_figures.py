@@ -1,6 +1,5 @@
 """What the kit reads from a stream of states: a right one, and each way to be wrong."""
 
-from dataclasses import replace
 
 import pytest
 
@@ -21,7 +20,7 @@ def stream(count=200, **change):
     states = [State(k, k * T, (0.1, 0.2), k - 1, (k - 1) * T if k else 0.0, 0.0004)
               for k in range(count)]
     for name, function in change.items():
-        states = [replace(item, **{name: function(k, getattr(item, name))})
+        states = [item._replace(**{name: function(k, getattr(item, name))})
                   for k, item in enumerate(states)]
     commands = {k: k * T for k in range(count)}
     return states, [100.0 + 0.0001 * (k % 3) + k * T for k in range(count)], commands
@@ -85,7 +84,7 @@ def held_back(trip):
     """Return the latency of a node that tells `trip(own)` where its answer took `own` [s]."""
     states, arrivals, commands = stream()
     taken = {k: 0.0025 if k % 10 == 0 else 0.0002 for k in commands}
-    states = [replace(item, round_trip=trip(taken.get(item.echo_seq, 0.0))) for item in states]
+    states = [item._replace(round_trip=trip(taken.get(item.echo_seq, 0.0))) for item in states]
     return {item.name: item for item in figures(states, arrivals, commands, T, 2,
                                                 taken)}['latency']
 
