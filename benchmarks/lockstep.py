@@ -127,14 +127,14 @@ class Side:
         from rclpy.signals import SignalHandlerOptions
         from std_msgs.msg import Float64MultiArray
 
-        from dz_ros.nodes.base import _executor
+        from dz_ros.nodes.base import quickest_executor
         from dz_ros.nodes.topics import LOCKSTEP
 
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self.told = False
         signal.signal(signal.SIGTERM, self.tell)
         self.node = rclpy.create_node(f'echo_{sends[0][0]}')
-        self.executor = _executor()
+        self.executor = quickest_executor()
         self.executor.add_node(self.node)
         self.publishers = [self.node.create_publisher(Float64MultiArray, f'echo/{name}', LOCKSTEP)
                            for name, _ in sends]

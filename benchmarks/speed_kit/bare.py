@@ -76,8 +76,8 @@ class Bare:
         self.peers = arguments.peers
         self.executor: Any = None
         if self.way == 'events':
-            from dz_ros.nodes.base import _executor
-            self.executor = _executor()
+            from dz_ros.nodes.base import quickest_executor
+            self.executor = quickest_executor()
             self.executor.add_node(self.node)
         self.publishers = [self.node.create_publisher(Float64MultiArray, name, given)
                            for name in says]

@@ -103,12 +103,9 @@ class Controller:
 
     def has_reference_for(self, state: State) -> bool:
         """Whether the reference meant for this very state, by seq or stamp, has arrived."""
-        references = self._references
-        place = state.seq - references[0].seq if references else -1
-        if 0 <= place < len(references) and references[place].seq == state.seq:
-            return True         # as in a row without gaps; the rest says the same, slower
-        return any(item.seq == state.seq or abs(item.stamp - state.stamp) < SNAP
-                   for item in references)
+        return self._in_its_place(state.seq) is not None or any(
+            item.seq == state.seq or abs(item.stamp - state.stamp) < SNAP
+            for item in self._references)
 
     def respond(self, state: State) -> tuple[Command, Terms] | None:
         """Return command and terms for a state; None where it must not be answered.
@@ -129,7 +126,7 @@ class Controller:
         if last is not None and state.seq == last[0].seq:
             self.ignored['repeated'] += 1
             return last[1], last[2]
-        reference, late = self._reference_at(state.stamp)
+        reference, late = self._reference_for(state.seq, state.stamp)
         dt = self.period if last is None else accepted_interval(last[0].stamp, state.stamp,
                                                                 self.period)
         status = Status.ADAPTING if dt > 0.0 else Status.BAD_INTERVAL
@@ -145,7 +142,8 @@ class Controller:
         if dt > 0.0 and (command.v - limited) * terms.values[0] < 0.0:
             command, memory, terms = self._step(reference, state, 0.0, status | Status.SATURATED)
             self._check(command, memory, terms)
-        v = self.gate.let_out(command.v, state.stamp)
+            limited = self.gate.limit(command.v, state.stamp)
+        v = self.gate.send(command.v, limited, state.stamp)
         if v != command.v:
             command = command._replace(v=v)
         self.count += 1
@@ -208,10 +206,21 @@ class Controller:
                 raise ViolationError(f'estimate {self.law.signal_names[i]} {terms.signals[i]:.4g} '
                                      f'beyond safety.{key}_limit {limit:g}')
 
-    def _reference_at(self, stamp: float) -> tuple[Reference, float]:
+    def _in_its_place(self, seq: int) -> Reference | None:
+        """Return the reference of this seq where those kept are in a row, as nearly always."""
+        references = self._references
+        place = seq - references[0].seq if references else -1
+        if 0 <= place < len(references) and references[place].seq == seq:
+            return references[place]
+        return None
+
+    def _reference_for(self, seq: int, stamp: float) -> tuple[Reference, float]:
         """Return the reference for this instant and how far it had to be brought [s]."""
         while len(self._references) > KEPT and self._references[0].stamp < stamp - SNAP:
             self._references.popleft()
+        likely = self._in_its_place(seq)
+        if likely is not None and abs(likely.stamp - stamp) < SNAP:
+            return likely, 0.0      # the rest says the same, slower
         for reference in self._references:
             if abs(reference.stamp - stamp) < SNAP:
                 return reference, 0.0

@@ -71,7 +71,7 @@ class HostedDriver:
         self.measured, self.observing = measured, measured < order
         self._observer = VelocityObserver(configuration.driver_settings.observer)
         self._configuration = configuration
-        self._period = configuration.loop.period
+        self._slow = SLOW * configuration.loop.period
         self._reference: Reference | None = None
         self._measured_at: float | None = None
         self._missing = 0
@@ -151,7 +151,12 @@ class HostedDriver:
         Raises:
             DriverError: It cannot tell, whatever its code raised.
         """
-        limit = checked('limit', lambda: float(self.driver.limit))
+        try:
+            limit = float(self.driver.limit)
+        except DzRosError:
+            raise
+        except Exception as error:
+            raise DriverError(told('limit', error)) from error
         if not limit >= 0.0:
             raise DriverError(f'limit {limit:g} must be >= 0')
         return limit
@@ -257,7 +262,8 @@ class HostedDriver:
         """Return x_d^(n) of the reference; 0 where there is none that is fresh."""
         if self._reference is None:
             return 0.0
-        hold = self._configuration.safety.reference_hold * self._period
+        c = self._configuration
+        hold = c.safety.reference_hold * c.loop.period
         if hold and abs(t - self._reference.stamp) > hold:
             return 0.0
         return self._reference.x_d[-1]
@@ -279,8 +285,10 @@ class HostedDriver:
             self._failure = self._failure or told(name, error)
         finally:
             took = time.perf_counter() - started
-            self.slowest = max(self.slowest, took)
-            self.slow += took > SLOW * self._period and name in _AT_ONCE
+            if took > self.slowest:
+                self.slowest = took
+            if took > self._slow and name in _AT_ONCE:
+                self.slow += 1
         return None
 
 

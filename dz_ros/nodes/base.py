@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 import json
-import os
 import time
 from typing import Any
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.subscription import Subscription
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.errors import LoopError, MessageError
 from dz_ros.nodes import topics
+from dz_ros.nodes.taking import Taker
 from dz_ros.recording.cdr import ArrayCodec
 from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
-from dz_ros.runtime.privileges import usable_cores
 from dz_ros.version import version
 
 SPIN_LIMIT = 0.05
@@ -31,11 +31,8 @@ PATIENCE = 5.0
 """A node that waits for its peers says so after each of these [s]."""
 
 
-POLL = 200e-6 if len(usable_cores()) > 1 else 0.0
-"""In lockstep a node looks for messages for so long before it sleeps [s]; not on a single core,
-which those need who are to answer."""
 SERVE = 0.02
-"""While messages come, everything else is served after each of these [s]."""
+"""In lockstep everything but the loop's topics is served after each of these [s]."""
 
 
 class LoopNode(Node):
@@ -47,7 +44,10 @@ class LoopNode(Node):
 
     Attributes:
         stopping: True once a signal asked the node to end.
+        eager: In lockstep, for how long it looks for messages before it sleeps [s].
     """
+
+    eager = 0.0
 
     def __init__(self, name: str, executor: Any = None) -> None:
         super().__init__(name)
@@ -57,11 +57,11 @@ class LoopNode(Node):
                                              topics.offered('events'))
         self._records: dict[str, tuple[Publisher, ArrayCodec]] = {}
         self._claims: list[Any] = []
-        self._listened: list[tuple[Subscription, Callable[[bytes], None]]] = []
+        self._listened: list[Any] = []
+        self._by_hand: Taker | None = None
         self._serve_at = 0.0
         self._counts: dict[str, int] = {}
-        self._executor = executor or _executor()
-        self._executor.add_node(self)
+        self._given = executor
 
     def offer(self, topic: str, labels: Sequence[str]) -> Callable[[Sequence[float]], None]:
         """Return the function that publishes a record's numbers on a topic of the loop.
@@ -109,17 +109,23 @@ class LoopNode(Node):
                 return
             callback(numbers)
 
-        qos = topics.LOCKSTEP if self.lockstep else topics.NEWEST
-        subscription = self.create_subscription(topics.TYPES[topic], topic, received, qos,
-                                                raw=True)
-        self._listened.append((subscription, received))
+        if self.lockstep:
+            self._by_hand = self._by_hand or Taker(self)
+            self._by_hand.subscribe(topics.TYPES[topic], topic, topics.LOCKSTEP,
+                                  lambda payload, *_: received(payload))
+        else:
+            self._listened.append(self.create_subscription(topics.TYPES[topic], topic, received,
+                                                           topics.NEWEST, raw=True))
 
     def withdraw(self) -> None:
         """Take back every offer and stop listening to the loop's topics."""
         for publisher, _ in self._records.values():
             self.destroy_publisher(publisher)
-        for subscription, _ in self._listened:
+        for subscription in self._listened:
             self.destroy_subscription(subscription)
+        if self._by_hand is not None:
+            self._by_hand.close()
+            self._by_hand = None
         for held in self._claims:
             held.close()
         self._records.clear()
@@ -130,6 +136,15 @@ class LoopNode(Node):
     def halted(self) -> bool:
         """Whether the present work is to be left."""
         return self.stopping
+
+    @cached_property
+    def _executor(self) -> Any:
+        """What serves callbacks; in lockstep one that leaves the loop's topics alone."""
+        found = self._given
+        if found is None:
+            found = SingleThreadedExecutor() if self.lockstep else quickest_executor()
+        found.add_node(self)
+        return found
 
     @property
     def lockstep(self) -> bool:
@@ -210,41 +225,25 @@ class LoopNode(Node):
             remaining = deadline - time.monotonic()
             if remaining <= 0.0:
                 return
-            self._executor.spin_once(timeout_sec=min(remaining, SPIN_LIMIT))
+            self.spin(remaining)
 
     def spin(self, limit: float = SPIN_LIMIT) -> None:
-        """Serve one callback, or none for a while [s]."""
-        self._executor.spin_once(timeout_sec=min(limit, SPIN_LIMIT))
+        """Serve a callback, or none for a while [s]; in lockstep also all messages of the loop."""
+        if self._by_hand is None:
+            self._executor.spin_once(timeout_sec=min(limit, SPIN_LIMIT))
+            return
+        self._by_hand.take_soon(self.eager, min(limit, SERVE))
+        now = time.monotonic()
+        if now > self._serve_at:
+            self._serve_at = now + SERVE
+            self._executor.spin_once(timeout_sec=0.0)
 
-    def poll(self, done: Callable[[], bool] = lambda: False) -> bool:
-        """Take the loop's messages without sleeping in between; for lockstep.
-
-        The other side answers within the time that waking up takes. Everything else is served
-        now and then.
-
-        Returns:
-            False where none came for `POLL` [s]: sleep then, `spin` or `spin_until`.
-        """
-        give_up = time.monotonic() + POLL
-        while not (done() or self.halted):
-            taken = False
-            for subscription, received in self._listened:
-                found = subscription.handle.take_message(subscription.msg_type, True)
-                if found is not None:
-                    received(found[0])
-                    taken = True
-            now = time.monotonic()
-            if now > self._serve_at:
-                self._serve_at = now + SERVE
-                self._executor.spin_once(timeout_sec=0.0)
-                return True
-            if taken:
-                give_up = now + POLL
-            elif now > give_up:
-                return False
-            else:
-                os.sched_yield()
-        return True
+    def spin_out(self) -> None:
+        """Serve what has come already, callbacks and messages."""
+        for _ in range(20):
+            self._executor.spin_once(timeout_sec=0.0)
+        if self._by_hand is not None:
+            self._by_hand.take_soon(0.0, 0.0)
 
     def flush(self) -> None:
         """Wait until what was published has reached its reliable listeners."""
@@ -277,11 +276,10 @@ def deliver(*publishers: Publisher) -> None:
         publisher.wait_for_all_acked(Duration(seconds=left))
 
 
-def _executor() -> Any:
+def quickest_executor() -> Any:
     """Return the executor with the least delay that this rclpy has (docs/architecture.md)."""
     try:
         from rclpy.experimental.events_executor import EventsExecutor
     except ImportError:
-        from rclpy.executors import SingleThreadedExecutor
         return SingleThreadedExecutor()
     return EventsExecutor()

@@ -98,8 +98,6 @@ class ActuatorHost(Hosting):
         while not self.halted:
             asked = time.monotonic()
             while not (self._answered() or self._measured is None or self.halted):
-                if self.poll(self._answered):
-                    continue
                 self.spin_until(time.monotonic() + REPEAT, self._answered)
                 if self._answered():
                     break

@@ -109,8 +109,7 @@ class ControllerNode(GuardedNode):
         period, looked = self.configuration.loop.period, 0.0
         while not self.halted:
             watching = self.supervisor.mode in (Mode.RUNNING, Mode.LOST) and not self.lockstep
-            if not (self.lockstep and self.poll()):
-                self.spin(period if watching else SPIN_LIMIT)
+            self.spin(period if watching else SPIN_LIMIT)
             now = time.monotonic()
             if watching and now - looked >= period:
                 looked = now

@@ -14,6 +14,7 @@ from dz_ros.core.safety.supervisor import Change, Supervisor
 from dz_ros.core.safety.table import Mode
 from dz_ros.nodes.managed import ManagedNode
 from dz_ros.recording.cdr import decode_string
+from dz_ros.runtime.privileges import usable_cores
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The e-stop topic: whoever comes late hears what was said last."""
@@ -27,6 +28,7 @@ class GuardedNode(ManagedNode):
     """
 
     partner: str
+    eager = 200e-6 if len(usable_cores()) > 1 else 0.0     # who is to answer needs a core
 
     def __init__(self, name: str, *sections: str) -> None:
         super().__init__(name, *sections)

@@ -31,8 +31,7 @@ NODES = {'plant_node': 'PlantNode', 'actuator_node': 'ActuatorNode',
 PRIORITY = {'plant_node': 0, 'actuator_node': 0, 'controller_node': 0, 'trajectory_node': -1}
 """Node that may be set up by the section `process` → its priority less `process.priority`."""
 SIDES = {'plant_node': 0, 'actuator_node': 0, 'controller_node': 1}
-"""In lockstep the two that take turns have every other core each, for neither sleeps long enough
-to make room for the other."""
+"""In lockstep the two that take turns have every other core each: neither sleeps meanwhile."""
 PROFILES = ('FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE')
 """Environment variables that name a file of profiles for Fast DDS."""
 

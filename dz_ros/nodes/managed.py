@@ -87,8 +87,7 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
     def close(self) -> None:
         """Stop in order, then release everything."""
         # What has arrived is heard first: the other end may have stopped already.
-        for _ in range(20):
-            self._executor.spin_once(timeout_sec=0.0)
+        self.spin_out()
         if self._state_machine.current_state[1] in ('unconfigured', 'inactive', 'active'):
             self.trigger_shutdown()
         super().close()

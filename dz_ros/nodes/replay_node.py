@@ -17,7 +17,7 @@ from rclpy.publisher import Publisher
 from rosgraph_msgs.msg import Clock
 
 from dz_ros.errors import ConfigurationError, LoopError, RecordingError
-from dz_ros.nodes.base import _executor, deliver, PATIENCE, SPIN_LIMIT
+from dz_ros.nodes.base import deliver, PATIENCE, quickest_executor, SPIN_LIMIT
 from dz_ros.nodes.recorded import message_class, offered_as_recorded
 from dz_ros.nodes.steering import Steering
 from dz_ros.recording.channels import EVENTS
@@ -50,7 +50,7 @@ class ReplayNode(Node):
         super().__init__('replay_node')
         self.stopping = False
         self._claims: list[Any] = []
-        self._executor = _executor()
+        self._executor = quickest_executor()
         self._executor.add_node(self)
         path = self._given('run', '', 'directory of the run, or its .mcap; any rosbag2 bag')
         if not path:

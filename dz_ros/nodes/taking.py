@@ -8,6 +8,8 @@ waking up than a recorder has to do per message. So a recorder waits on its subs
 from __future__ import annotations
 
 from collections.abc import Callable
+import os
+import time
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
@@ -55,12 +57,37 @@ class Taker:
         self._subscriptions.append((subscription, store))
         self._wait_set = None
 
+    def close(self) -> None:
+        """Subscribe to nothing any more."""
+        for subscription, _ in self._subscriptions:
+            self._node.destroy_subscription(subscription)
+        self._subscriptions.clear()
+        self._wait_set = None
+
+    def take_soon(self, eager: float, timeout: float) -> int:
+        """Hand over all that has come as soon as something has; return its number.
+
+        Args:
+            eager: How long to look for it without sleeping [s]: waking up takes longer than an
+                answer that is under way. Who has work to do on this core is let through.
+            timeout: Longest wait in all [s].
+        """
+        give_up = time.monotonic() + min(eager, timeout)
+        while not (taken := self._take()):
+            if time.monotonic() >= give_up:
+                return self.take_all(timeout)
+            os.sched_yield()
+        return taken
+
     def take_all(self, timeout: float) -> int:
         """Wait for messages, hand over all that have come, return their number.
 
         Args:
             timeout: Longest wait [s].
         """
+        if not self._subscriptions:
+            time.sleep(timeout)
+            return 0
         if self._wait_set is None:
             self._wait_set = rclpy_implementation.WaitSet(
                 len(self._subscriptions), 0, 0, 0, 0, 0, self._node.context.handle)
@@ -68,10 +95,12 @@ class Taker:
         for subscription, _ in self._subscriptions:
             self._wait_set.add_subscription(subscription.handle)
         self._wait_set.wait(int(timeout * 1e9))
+        return self._take()
+
+    def _take(self) -> int:
+        """Hand over all that is there; return its number."""
         taken = 0
-        for index, (subscription, store) in enumerate(self._subscriptions):
-            if not self._wait_set.is_ready('subscription', index):
-                continue
+        for subscription, store in self._subscriptions:
             handle, message_type = subscription.handle, subscription.msg_type
             while (found := handle.take_message(message_type, True)) is not None:
                 store(found[0], found[1]['source_timestamp'], found[1]['received_timestamp'])

@@ -167,38 +167,6 @@ def test_messages_of_wrong_shape_are_counted_and_ignored(processes, listener):
     assert 'Traceback' not in plant.output
 
 
-def test_in_lockstep_a_node_that_is_gone_ends_the_run_with_its_name(processes):
-    common = (*ARGUMENTS, '-p', 'loop.timing:=lockstep', '-p', 'loop.duration:=0.0')
-    plant, controller, trajectory = (processes(*NODE, name, *common) for name in NAMES)
-    plant_started = Listener()
-    try:
-        from std_msgs.msg import Float64MultiArray
-        plant_started.listen('/state', Float64MultiArray)
-        plant_started.wait(lambda: plant_started.heard['/state'])
-    finally:
-        plant_started.close()
-    trajectory.signal(signal.SIGKILL)
-    assert controller.wait() == 2
-    assert 'the trajectory is gone' in controller.output
-    assert plant.wait() == 2
-    assert 'the controller is gone' in plant.output
-
-
-def test_in_lockstep_the_time_is_published_as_clock(processes, listener):
-    from rosgraph_msgs.msg import Clock
-    listener.listen('/clock', Clock)
-    nodes = [processes(*NODE, name, *ARGUMENTS, '-p', 'loop.timing:=lockstep', '-p',
-                       'loop.duration:=0.0') for name in NAMES]
-    listener.wait(lambda: len(listener.heard['/clock']) > 100)
-    times = [message.clock.sec * 10**9 + message.clock.nanosec
-             for message in listener.heard['/clock']]
-    assert all(time_ns % 5_000_000 == 0 for time_ns in times)      # k T, whatever the wall says
-    assert times == sorted(set(times))
-    for node in nodes:
-        node.signal(signal.SIGINT)
-        assert node.wait() == 0
-
-
 def rclpy_dimension(label, size):
     from std_msgs.msg import MultiArrayDimension
     return MultiArrayDimension(label=label, size=size, stride=size)

@@ -69,7 +69,10 @@ class OutputGate:
 
     def let_out(self, v: float, t: float) -> float:
         """Return what goes out for a command v at time t [s]."""
-        limited = self.limit(v, t)
+        return self.send(v, self.limit(v, t), t)
+
+    def send(self, v: float, limited: float, t: float) -> float:
+        """Return what goes out for a command v at time t [s] that `limit` has limited."""
         if math.isnan(limited):
             self.refused += 1
             return self.safe(t)
