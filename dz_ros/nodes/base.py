@@ -61,7 +61,7 @@ class LoopNode(Node):
         self._by_hand: Taker | None = None
         self._serve_at = 0.0
         self._counts: dict[str, int] = {}
-        self._given = executor
+        self._executor_given = executor
 
     def offer(self, topic: str, labels: Sequence[str]) -> Callable[[Sequence[float]], None]:
         """Return the function that publishes a record's numbers on a topic of the loop.
@@ -140,7 +140,7 @@ class LoopNode(Node):
     @cached_property
     def _executor(self) -> Any:
         """What serves callbacks; in lockstep one that leaves the loop's topics alone."""
-        found = self._given
+        found = self._executor_given
         if found is None:
             found = SingleThreadedExecutor() if self.lockstep else quickest_executor()
         found.add_node(self)

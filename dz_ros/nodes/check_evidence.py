@@ -24,6 +24,8 @@ EVERY = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
 KEPT = QoSProfile(depth=200, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SAFE_MODES = ('lost', 'fault', 'estop', 'waiting')
 """Modes in which a host of ours holds the safe command."""
+DISCOVERY = 5.0
+"""Longest wait for a listener to be found [s]."""
 NOT_LIMITED = ('held back by a limit', 'saturated by the device [commands]')
 """Values of the diagnostics that count limited commands."""
 
@@ -95,11 +97,10 @@ class Evidence:
         self._send(command.numbers())
 
     def send(self, labels: Sequence[str], numbers: Sequence[float]) -> None:
-        """Send whatever it is, on a publisher of its own."""
+        """Send whatever it is, on a publisher of its own, once somebody listens to it."""
         publisher = self._node.create_publisher(
             Float64MultiArray, 'command', topics.offered('command'))
-        while not publisher.get_subscription_count():
-            self._node.spin()
+        self._node.spin_until(time.monotonic() + DISCOVERY, publisher.get_subscription_count)
         publisher.publish(ArrayCodec(tuple(labels)).encode(numbers))
         self._node.destroy_publisher(publisher)
 

@@ -34,8 +34,7 @@ PATIENCE = 15.0
 SPAN = 3.0
 """How long it is watched while all is well [s]."""
 HELD, HOLD = 10, 0.5
-"""While it is watched, every tenth command is held back for half a period: round_trip must show
-it."""
+"""Every tenth command is held back for half a period, which round_trip must show."""
 BACK = 5.0
 """After a stop, commands must act again within this [s]."""
 STILL = 0.1
@@ -100,21 +99,28 @@ class CheckNode(LoopNode):
         self._holding = False
         yield from figures(evidence.states, evidence.arrivals, evidence.commands,
                            self._period, self.configuration.plant.order, evidence.taken)
-        for check in (self._bad_messages, self._saturation, self._silence, self._new_commander,
-                      self._stop, self._way_out, self._gone_and_back):
-            self._evidence.still = 0.0
-            result = check()
-            if result.passed is False and self._evidence.still > STILL:
-                # It proves nothing where the machine stood still: commands aged, a fault latched.
-                self._answering = True
-                self._evidence.reset(BACK)
-                self._acts(BACK)
-                result = check()
+        for name, check in (
+                ('bad messages refused', self._bad_messages), ('saturation', self._saturation),
+                ('stale command', self._silence), ('commander restarts', self._new_commander),
+                ('e-stop', self._stop), ('reset', self._way_out),
+                ('disconnect and reconnect', self._gone_and_back)):
+            evidence.still = 0.0
+            try:
+                result = check(name)
+                if result.passed is False and evidence.still > STILL:
+                    # It proves nothing: the machine stood still, commands aged, a fault latched.
+                    self._answering = True
+                    evidence.reset(BACK)
+                    self._acts(BACK)
+                    result = check(name)
+            except LoopError as error:
+                yield Result(name, False, 'silence', 'publishes states', str(error))
+                raise
             yield result
 
     # The checks that provoke.
 
-    def _bad_messages(self) -> Result:
+    def _bad_messages(self, name: str) -> Result:
         """NaN, infinities, seq back and far ahead, wrong labels: none may be echoed."""
         self._wait(0.1)     # commands were not sent while figures were made; then any seq is taken
         last, bad = self._seq, []
@@ -139,14 +145,14 @@ class CheckNode(LoopNode):
         taken = sorted({item.echo_seq for item in seen} & set(bad))
         ill = [item.seq for item in seen if not all(map(math.isfinite, item.numbers()))]
         acting = bool(seen) and seen[-1].echo_seq > last and not taken
-        words = ('it stopped publishing' if not seen else f'acted on {taken}' if taken else
+        words = (f'acted on {taken}' if taken else
                  f'state {ill[0]} is not finite' if ill else
                  '' if acting else 'good commands act no more')
-        return Result('bad messages refused', not words, f'{len(bad) - len(taken)} of {len(bad)}',
-                      f'{len(bad)}', words)
+        return Result(name, not words, f'{len(bad) - len(taken)} of {len(bad)}', f'{len(bad)}',
+                      words)
 
-    def _saturation(self) -> Result:
-        name, limit = 'saturation', self._limit
+    def _saturation(self, name: str) -> Result:
+        limit = self._limit
         if limit <= 0.0:
             return Result(name, None, 'not tried', 'limited and reported', 'it would move the '
                           'device with all it has: --saturate tries, with a limit known')
@@ -167,10 +173,10 @@ class CheckNode(LoopNode):
                       '' if kept and more else 'more than the limit acts' if not kept else
                       'the diagnostics do not count it')
 
-    def _silence(self) -> Result:
+    def _silence(self, name: str) -> Result:
         """No commands: the safe one within `safety.command_hold`."""
         hold = self.configuration.safety.command_hold
-        name, limit = 'stale command', f'<= {hold + 2} samples'
+        limit = f'<= {hold + 2} samples'
         if not hold:
             return Result(name, None, 'safety.command_hold is 0', limit, 'a command never ages')
         self._answering = False
@@ -188,17 +194,17 @@ class CheckNode(LoopNode):
         return Result(name, samples <= hold + 2, f'{samples} samples', limit,
                       '' if samples <= hold + 2 else 'the last command acts for too long')
 
-    def _new_commander(self) -> Result:
+    def _new_commander(self, name: str) -> Result:
         """A commander that starts anew after a silence counts from 0."""
         self._answering = False
         self._wait((self.configuration.safety.command_hold + 20) * self._period)
         self._answering = True
         acts = self._acts(BACK, fresh=True)
-        return Result('commander restarts', acts, 'acts' if acts else 'does not act',
+        return Result(name, acts, 'acts' if acts else 'does not act',
                       f'within {BACK:g} s', '' if acts else 'commands that count from 0 again '
                       'after a silence are not taken')
 
-    def _stop(self) -> Result:
+    def _stop(self, name: str) -> Result:
         """The e-stop by its topic."""
         self._evidence.note('stop')
         self._estop.publish(Bool(data=True))
@@ -209,10 +215,10 @@ class CheckNode(LoopNode):
         told = not self._evidence.tells or safe is not None
         words = ('commands act although the e-stop is pressed' if not ignored else
                  '' if told else 'the safe command was not taken')
-        return Result('e-stop', ignored and told, f'{max(len(echoed) - 1, 0)} commands acted', '0',
+        return Result(name, ignored and told, f'{max(len(echoed) - 1, 0)} commands acted', '0',
                       words)
 
-    def _way_out(self) -> Result:
+    def _way_out(self, name: str) -> Result:
         """The way out of the e-stop."""
         self._estop.publish(Bool(data=True))
         self._wait(0.2)
@@ -220,11 +226,11 @@ class CheckNode(LoopNode):
         self._wait(0.2)
         refused = self._evidence.reset(BACK)
         acts = self._acts(BACK)
-        return Result('reset', acts and not refused, 'acts' if acts else 'does not act',
+        return Result(name, acts and not refused, 'acts' if acts else 'does not act',
                       f'within {BACK:g} s', refused or ('' if acts else 'no command acts after '
                                                         'the reset'))
 
-    def _gone_and_back(self) -> Result:
+    def _gone_and_back(self, name: str) -> Result:
         """The commander's publisher goes altogether and comes back."""
         self._answering = False
         self._evidence.disconnect()
@@ -236,18 +242,14 @@ class CheckNode(LoopNode):
         if not acts:
             self._evidence.reset(BACK)
             acts = self._acts(BACK)
-        return Result('disconnect and reconnect', acts, f'{time.monotonic() - started:.2f} s',
+        return Result(name, acts, f'{time.monotonic() - started:.2f} s',
                       f'<= {BACK:g} s', '' if acts else 'no command acts when the commander is '
                       'back, reset or not')
 
     # What they are made of.
 
     def _connect(self) -> None:
-        """Wait for states, and begin to answer them.
-
-        Raises:
-            LoopError: There are none.
-        """
+        """Wait for states, and begin to answer them."""
         self._answering = True
         seen = self._evidence
         self.spin_until(time.monotonic() + PATIENCE,
@@ -289,8 +291,10 @@ class CheckNode(LoopNode):
         return echoed()
 
     def _wait(self, span: float) -> None:
-        """Hear all that comes within a span [s], on a machine that stands still meanwhile, too."""
+        """Hear all that comes within a span [s], though the machine stand still meanwhile."""
         states = self._evidence.states
-        end, enough = time.monotonic() + span, len(states) + 0.8 * span / self._period
+        end, before = time.monotonic() + span, len(states)
         self.spin_until(end)
-        self.spin_until(end + BACK, lambda: len(states) >= enough)
+        self.spin_until(end + BACK, lambda: len(states) - before >= 0.8 * span / self._period)
+        if len(states) == before and not self.stopping:
+            raise LoopError(f'no state for {BACK + span:g} s: it stopped publishing')

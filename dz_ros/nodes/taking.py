@@ -2,7 +2,8 @@
 
 The executor with the least delay cannot hand over a message's source time-stamp in this version
 of rclpy (it raises SystemError for callbacks with two arguments), and the others spend far more on
-waking up than a recorder has to do per message. So a recorder waits on its subscriptions itself.
+waking up than a recorder has to do per message. So a recorder waits on its subscriptions itself;
+so do the loop's nodes in lockstep, where even one wake-up takes longer than the other's answer.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ from rclpy.subscription import Subscription
 Store = Callable[[bytes, int, int], None]
 """Takes a message's bytes, when it was published and when it came [ns since the epoch]; the
 middleware took note of both, however late the message is taken."""
+
+MOST = 1000
+"""Messages of one topic taken at once: who sends without end must not keep others from theirs."""
 
 
 class _ByHand(CallbackGroup):
@@ -98,11 +102,14 @@ class Taker:
         return self._take()
 
     def _take(self) -> int:
-        """Hand over all that is there; return its number."""
+        """Hand over what is there, up to `MOST` of each topic; return the number."""
         taken = 0
         for subscription, store in self._subscriptions:
             handle, message_type = subscription.handle, subscription.msg_type
-            while (found := handle.take_message(message_type, True)) is not None:
+            for _ in range(MOST):
+                found = handle.take_message(message_type, True)
+                if found is None:
+                    break
                 store(found[0], found[1]['source_timestamp'], found[1]['received_timestamp'])
                 taken += 1
         return taken
