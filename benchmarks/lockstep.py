@@ -1,12 +1,13 @@
 """Steps per second of the loop in lockstep over DDS, recorded, beside bare two-process echoes.
 
-The echoes are the least a step can be: two processes, the same bytes by the same client library,
-executor and quality of service, no number computed, nobody recording unless it is said.
+The bare echoes are two processes, the same bytes by the same client library and quality of
+service, served by its quickest executor, no number computed, nobody recording.
 
     echo of all messages    one side sends state, truth and the clock's time, the other answers
                             with command, terms and reference: all that a step of the loop sends;
-                            also with what our nodes ask of the middleware, and that recorded by
-                            our recorder, as the loop is, to see what recording alone costs
+                            also set up as our nodes are (what is asked of the middleware,
+                            messages taken by hand without sleeping, cores), which is the least a
+                            step can be, and that recorded by our recorder, as the loop is
     echo of state, command  the two that have to wait for each other
 
 Loop and echoes take turns, so that they meet the same machine. On a busy machine the ratio says
@@ -36,6 +37,7 @@ from benchmarks.speed_kit.rows import Row, say, show  # noqa: E402
 from benchmarks.speed_kit.running import environment  # noqa: E402
 from dz_ros.core.records import Command, Reference, State, Terms, Truth  # noqa: E402
 from dz_ros.recording.cdr import ArrayCodec  # noqa: E402
+from dz_ros.runtime.privileges import usable_cores, use_cores  # noqa: E402
 
 RATE = 200.0
 """Samples per second of loop time in the configuration measured."""
@@ -82,11 +84,11 @@ def echo(count: int, whole: bool, profile: bool = False, listeners: int = 1) -> 
     Args:
         count: Round trips.
         whole: All messages, or state and command only.
-        profile: With what our nodes ask of the middleware, or with what it does by itself.
+        profile: Set up as our nodes are, or with what rclpy and the middleware do by themselves.
         listeners: Of each topic that a recorder knows; waited for.
     """
     size = len(FORTH) if whole else 1
-    side = [sys.executable, __file__, '--side', str(size)]
+    side = [sys.executable, __file__, '--side', str(size), *(['--alike'] if profile else [])]
     env = environment(profile=profile)
     answering = subprocess.Popen(side, cwd=ROOT, env=env)
     try:
@@ -102,7 +104,7 @@ def echo(count: int, whole: bool, profile: bool = False, listeners: int = 1) -> 
 
 
 def recorded_echo(count: int) -> float:
-    """Return round trips per second of an echo of all messages, our profile, our recorder."""
+    """Return round trips per second of an echo of all messages, set up alike, our recorder."""
     with tempfile.TemporaryDirectory() as folder:
         recorder = subprocess.Popen(
             [sys.executable, '-m', 'dz_ros.nodes.main', 'recorder_node', '--ros-args', '-r',
@@ -120,14 +122,17 @@ def recorded_echo(count: int) -> float:
 
 
 class Side:
-    """One of the two: what it sends, what it hears."""
+    """One of the two: what it sends, what it hears, whether it is set up as our nodes are."""
 
-    def __init__(self, sends: Sequence[tuple[str, bytes]], hears: Sequence[str]) -> None:
+    def __init__(self, sends: Sequence[tuple[str, bytes]], hears: Sequence[str],
+                 alike: bool) -> None:
         import rclpy
         from rclpy.signals import SignalHandlerOptions
         from std_msgs.msg import Float64MultiArray
 
         from dz_ros.nodes.base import quickest_executor
+        from dz_ros.nodes.guarded import GuardedNode
+        from dz_ros.nodes.taking import Taker
         from dz_ros.nodes.topics import LOCKSTEP
 
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -142,9 +147,16 @@ class Side:
                         in zip(self.publishers, sends, strict=True)]
         self.heard = self.others = 0
         self.answering = False
+        self.taker, self.eager = Taker(self.node) if alike else None, GuardedNode.eager
         for i, name in enumerate(hears):
-            self.node.create_subscription(Float64MultiArray, f'echo/{name}', self.other if i
-                                          else self.first, LOCKSTEP, raw=True)
+            hear = self.other if i else self.first
+            if self.taker is not None:
+                self.taker.subscribe(Float64MultiArray, f'echo/{name}', LOCKSTEP, hear)
+            else:
+                self.node.create_subscription(Float64MultiArray, f'echo/{name}', hear, LOCKSTEP,
+                                              raw=True)
+        if alike:
+            use_cores(usable_cores()[sends[0][0] == 'command'::2] or usable_cores())
 
     def tell(self, *_: object) -> None:
         """End."""
@@ -155,13 +167,20 @@ class Side:
         for publish, data in self.outputs:
             publish(data)
 
-    def first(self, _data: bytes) -> None:
+    def spin(self, limit: float = 0.05) -> None:
+        """Hear what comes."""
+        if self.taker is not None:
+            self.taker.take_soon(self.eager, limit)
+        else:
+            self.executor.spin_once(timeout_sec=limit)
+
+    def first(self, _data: bytes, *_times: int) -> None:
         """Hear what is waited for."""
         self.heard += 1
         if self.answering:
             self.send()
 
-    def other(self, _data: bytes) -> None:
+    def other(self, _data: bytes, *_times: int) -> None:
         """Hear anything else."""
         self.others += 1
 
@@ -170,22 +189,22 @@ class Side:
         give_up = time.monotonic() + TIME_OUT
         while listeners > 1 and any(self.node.count_subscribers(f'echo/{name}') < listeners
                                     for name in RECORDED):
-            self.executor.spin_once(timeout_sec=0.05)
+            self.spin()
             if time.monotonic() > give_up:
                 sys.exit('no recorder')
         while not self.heard:       # until both hear each other
             self.send()
-            self.executor.spin_once(timeout_sec=0.5)
+            self.spin(0.5)
             if time.monotonic() > give_up:
                 sys.exit('nobody answers')
         quiet = time.monotonic() + 1.0
         while time.monotonic() < quiet:
-            self.executor.spin_once(timeout_sec=0.05)
+            self.spin()
         self.heard, self.answering = 0, True
         begin = time.perf_counter()
         self.send()                 # from here on one step is under way, never two
         while self.heard < count:
-            self.executor.spin_once(timeout_sec=0.05)
+            self.spin()
             if time.monotonic() > give_up:
                 sys.exit('the echo was lost')
         return self.heard / (time.perf_counter() - begin)
@@ -194,7 +213,7 @@ class Side:
         """Answer until told to end."""
         self.answering = True
         while not self.told:
-            self.executor.spin_once(timeout_sec=0.05)
+            self.spin()
 
     def __enter__(self) -> Side:
         return self
@@ -219,7 +238,7 @@ def measure(quick: bool, repetitions: int = 5, duration: float = 15.0) -> list[R
         'recorded': lambda: loop(duration, True),
         'recorded echo': lambda: recorded_echo(count),
         'unrecorded': lambda: loop(duration, False),
-        'profiled echo': lambda: echo(count, True, True),
+        'echo set up alike': lambda: echo(count, True, True),
         'echo of two': lambda: echo(count, False)}
     speeds: dict[str, list[float]] = {name: [] for name in ways}
     for turn in range(repetitions):
@@ -243,12 +262,12 @@ def measure(quick: bool, repetitions: int = 5, duration: float = 15.0) -> list[R
             detail=words('recorded')),
         over('lockstep, recorded, over a bare echo of all its messages', 'recorded', 'echo',
              TARGET_RATIO),
-        over('that echo with our profile of the middleware, recorded over not', 'recorded echo',
-             'profiled echo'),
-        over('lockstep over that echo, both with our profile, recorded', 'recorded',
-             'recorded echo'),
-        over('lockstep over that echo, both with our profile, not recorded', 'unrecorded',
-             'profiled echo'),
+        over('lockstep, not recorded, over a bare echo of all its messages', 'unrecorded', 'echo'),
+        over('that echo set up as our nodes are, recorded over not', 'recorded echo',
+             'echo set up alike'),
+        over('lockstep over that echo, set up alike, recorded', 'recorded', 'recorded echo'),
+        over('lockstep over that echo, set up alike, not recorded', 'unrecorded',
+             'echo set up alike'),
         over('lockstep, recorded, over a bare echo of state and command', 'recorded',
              'echo of two')]
 
@@ -259,16 +278,17 @@ def main() -> int:
     parser.add_argument('--repetitions', type=int, default=5)
     parser.add_argument('--duration', type=float, default=15.0, help='of a run [s of loop time]')
     parser.add_argument('--side', type=int, default=0, help=argparse.SUPPRESS)
+    parser.add_argument('--alike', action='store_true', help=argparse.SUPPRESS)
     parser.add_argument('--count', type=int, default=0, help=argparse.SUPPRESS)
     parser.add_argument('--listeners', type=int, default=1, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.side:
         size = arguments.side
         if arguments.count:
-            with Side(list(FORTH.items())[:size], list(BACK)[:size]) as side:
+            with Side(list(FORTH.items())[:size], list(BACK)[:size], arguments.alike) as side:
                 print(side.ask(arguments.count, arguments.listeners))
             return 0
-        with Side(list(BACK.items())[:size], list(FORTH)[:size]) as side:
+        with Side(list(BACK.items())[:size], list(FORTH)[:size], arguments.alike) as side:
             side.answer()
         return 0
     print(describe('ros-rclpy', 'ros-rmw-fastrtps-cpp'))

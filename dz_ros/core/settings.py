@@ -129,7 +129,8 @@ class ProcessSettings:
                               'real time, one less for the trajectory; 0 = as any process',
                               minimum=0, maximum=98, structural=True)
     cores: str = parameter('', '', 'cores that plant or actuator and controller run on, e.g. 2,3 '
-                           'or 2-3; empty = any', structural=True)
+                           'or 2-3; empty = any, in lockstep every other one for each',
+                           structural=True)
     lock_memory: bool = parameter(False, '', 'keep plant or actuator and controller in RAM',
                                   structural=True)
     collect_garbage: bool = parameter(False, '', "leave Python's automatic garbage collection on; "
@@ -149,7 +150,7 @@ class ProcessSettings:
 
     @property
     def core_numbers(self) -> frozenset[int]:
-        """The cores by number; empty = any."""
+        """The cores by number; empty = none named."""
         found: set[int] = set()
         for part in self.cores.split(',') if self.cores else ():
             first, _, last = part.partition('-')

@@ -32,7 +32,9 @@ PATIENCE = 5.0
 
 
 SERVE = 0.02
-"""In lockstep everything but the loop's topics is served after each of these [s]."""
+"""In lockstep everything but the loop's topics is looked for after each of these [s] …"""
+AT_ONCE = 4
+"""… and so many callbacks are served then."""
 
 
 class LoopNode(Node):
@@ -40,7 +42,8 @@ class LoopNode(Node):
 
     Args:
         name: Default node name.
-        executor: Serves its callbacks; default is the one with the least delay.
+        executor: Serves its callbacks; default is the one with the least delay, in lockstep one
+            that leaves the loop's topics alone.
 
     Attributes:
         stopping: True once a signal asked the node to end.
@@ -112,7 +115,7 @@ class LoopNode(Node):
         if self.lockstep:
             self._by_hand = self._by_hand or Taker(self)
             self._by_hand.subscribe(topics.TYPES[topic], topic, topics.LOCKSTEP,
-                                  lambda payload, *_: received(payload))
+                                    lambda payload, *_: received(payload))
         else:
             self._listened.append(self.create_subscription(topics.TYPES[topic], topic, received,
                                                            topics.NEWEST, raw=True))
@@ -236,7 +239,8 @@ class LoopNode(Node):
         now = time.monotonic()
         if now > self._serve_at:
             self._serve_at = now + SERVE
-            self._executor.spin_once(timeout_sec=0.0)
+            for _ in range(AT_ONCE):
+                self._executor.spin_once(timeout_sec=0.0)
 
     def spin_out(self) -> None:
         """Serve what has come already, callbacks and messages."""

@@ -44,7 +44,6 @@ class Evidence:
         taken: seq → how long after hearing the state it answers each was sent [s].
         wrong_labels: Labels of states that are not those of the order; '' = none.
         tells: Whether events or truth of the node say what the actuator does.
-        still: The longest time without a state since it was last set to 0 [s].
     """
 
     def __init__(self, node: LoopNode, answer: Callable[[int, float], None]) -> None:
@@ -54,7 +53,7 @@ class Evidence:
         self.taken: dict[int, float] = {}
         self.wrong_labels = ''
         self.tells = False
-        self.still = 0.0
+        self._longest = 0.0
         self._node = node
         self._answer = answer
         self._decode = ArrayCodec(State.labels(node.configuration.plant.order)).decode
@@ -120,6 +119,14 @@ class Evidence:
             node.destroy_client(client)
         return said
 
+    def listen(self) -> None:
+        """Note the instant from which `silence` looks."""
+        self._longest = 0.0
+
+    def silence(self) -> float:
+        """Return the longest time without a state lately, until now [s]."""
+        return max(self._longest, time.monotonic() - self.arrivals[-1])
+
     def safe_after(self, safe: float) -> int | None:
         """Return after how many samples the actuator held the safe command; None = not seen."""
         first, held, stamp = self._since
@@ -149,7 +156,7 @@ class Evidence:
             return
         now = time.monotonic()
         if self.arrivals:
-            self.still = max(self.still, now - self.arrivals[-1])
+            self._longest = max(self._longest, now - self.arrivals[-1])
         self.states.append(state)
         self.arrivals.append(now)
         self._answer(state.seq, state.stamp)

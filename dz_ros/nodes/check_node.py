@@ -38,7 +38,7 @@ HELD, HOLD = 10, 0.5
 BACK = 5.0
 """After a stop, commands must act again within this [s]."""
 STILL = 0.1
-"""A check that failed while no state came for longer than this is made once more [s]."""
+"""A check that fails is made once more if no state came for longer than this, and 5 T [s]."""
 
 
 class CheckNode(LoopNode):
@@ -104,12 +104,14 @@ class CheckNode(LoopNode):
                 ('stale command', self._silence), ('commander restarts', self._new_commander),
                 ('e-stop', self._stop), ('reset', self._way_out),
                 ('disconnect and reconnect', self._gone_and_back)):
-            evidence.still = 0.0
+            evidence.listen()
             try:
                 result = check(name)
-                if result.passed is False and evidence.still > STILL:
+                if result.passed is False and evidence.silence() > max(STILL, 5.0 * self._period):
                     # It proves nothing: the machine stood still, commands aged, a fault latched.
                     self._answering = True
+                    self._estop.publish(Bool(data=False))
+                    self._wait(0.2)
                     evidence.reset(BACK)
                     self._acts(BACK)
                     result = check(name)
@@ -245,8 +247,6 @@ class CheckNode(LoopNode):
         return Result(name, acts, f'{time.monotonic() - started:.2f} s',
                       f'<= {BACK:g} s', '' if acts else 'no command acts when the commander is '
                       'back, reset or not')
-
-    # What they are made of.
 
     def _connect(self) -> None:
         """Wait for states, and begin to answer them."""

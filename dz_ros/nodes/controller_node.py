@@ -172,8 +172,8 @@ class ControllerNode(GuardedNode):
             return
         if self._guard.ready(state):
             self._answer(state, taken_ns)
-        else:
-            self._waiting = (state, taken_ns)
+        elif self._waiting is None or self._waiting[0].seq != state.seq:
+            self._waiting = (state, taken_ns)       # since it came first
 
     def _answer(self, state: State, taken_ns: int) -> None:
         answer = self._guard.answer(state, taken_ns * 1e-9)

@@ -7,7 +7,6 @@ line as well.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 import importlib
 import os
 from pathlib import Path
@@ -99,11 +98,13 @@ def _set_up(name: str, node: Any) -> None:
     wanted, own = configuration.process, PRIORITY[name]
     settle(wanted.collect_garbage)
     realtime = configuration.loop.timing == 'realtime'
-    cores: Iterable[int] = wanted.core_numbers if own == 0 else ()
-    if not realtime and not cores and name in SIDES:
-        cores = usable_cores()[SIDES[name]::2]
+    if not realtime and name in SIDES:
+        if not wanted.core_numbers:
+            ask(cores=usable_cores()[SIDES[name]::2])       # nobody has asked for it
+        elif len(wanted.core_numbers) == 1:
+            node.eager = 0.0    # who is to answer needs it
     refused = ask(max(wanted.priority + own, 1) if realtime and wanted.priority else 0,
-                  cores, wanted.lock_memory and own == 0)
+                  wanted.core_numbers if own == 0 else (), wanted.lock_memory and own == 0)
     if refused:
         node.get_logger().warning(f'refused: {", ".join(refused)}; {ADVICE}')
 

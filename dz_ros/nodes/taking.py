@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import os
+import sys
 import time
 from typing import Any
 
@@ -22,20 +23,21 @@ Store = Callable[[bytes, int, int], None]
 """Takes a message's bytes, when it was published and when it came [ns since the epoch]; the
 middleware took note of both, however late the message is taken."""
 
-MOST = 1000
-"""Messages of one topic taken at once: who sends without end must not keep others from theirs."""
+MOST = 100
+"""Messages of one topic that `take_soon` takes at once: who sends without end must not keep others
+from theirs."""
 
 
 class _ByHand(CallbackGroup):
     """The group of subscriptions that executors leave alone."""
 
-    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002
-        """Return False: no executor may take these messages."""
-        return False
+    def can_execute(self, entity: Any) -> bool:
+        """Return whether an executor may: not take these messages, but tell of bad QoS."""
+        return not isinstance(entity, Subscription)
 
-    def beginning_execution(self, entity: Any) -> bool:  # noqa: ARG002
-        """Return False."""
-        return False
+    def beginning_execution(self, entity: Any) -> bool:
+        """Return the same."""
+        return self.can_execute(entity)
 
     def ending_execution(self, entity: Any) -> None:
         """Do nothing."""
@@ -69,17 +71,22 @@ class Taker:
         self._wait_set = None
 
     def take_soon(self, eager: float, timeout: float) -> int:
-        """Hand over all that has come as soon as something has; return its number.
+        """Hand over what has come, up to `MOST` of each topic, as soon as something has.
 
         Args:
             eager: How long to look for it without sleeping [s]: waking up takes longer than an
                 answer that is under way. Who has work to do on this core is let through.
             timeout: Longest wait in all [s].
+
+        Returns:
+            The number of messages.
         """
-        give_up = time.monotonic() + min(eager, timeout)
-        while not (taken := self._take()):
+        eager = min(eager, timeout)
+        give_up = time.monotonic() + eager
+        while not (taken := self._take(MOST)):
             if time.monotonic() >= give_up:
-                return self.take_all(timeout)
+                self._wait(timeout - eager)
+                return self._take(MOST)
             os.sched_yield()
         return taken
 
@@ -89,9 +96,11 @@ class Taker:
         Args:
             timeout: Longest wait [s].
         """
-        if not self._subscriptions:
-            time.sleep(timeout)
-            return 0
+        self._wait(timeout)
+        return self._take(sys.maxsize)
+
+    def _wait(self, timeout: float) -> None:
+        """Sleep until there is a message, or for a time [s]."""
         if self._wait_set is None:
             self._wait_set = rclpy_implementation.WaitSet(
                 len(self._subscriptions), 0, 0, 0, 0, 0, self._node.context.handle)
@@ -99,14 +108,13 @@ class Taker:
         for subscription, _ in self._subscriptions:
             self._wait_set.add_subscription(subscription.handle)
         self._wait_set.wait(int(timeout * 1e9))
-        return self._take()
 
-    def _take(self) -> int:
-        """Hand over what is there, up to `MOST` of each topic; return the number."""
+    def _take(self, most: int) -> int:
+        """Hand over what is there, up to so many messages of each topic; return the number."""
         taken = 0
         for subscription, store in self._subscriptions:
             handle, message_type = subscription.handle, subscription.msg_type
-            for _ in range(MOST):
+            for _ in range(most):
                 found = handle.take_message(message_type, True)
                 if found is None:
                     break

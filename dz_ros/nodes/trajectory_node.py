@@ -54,7 +54,8 @@ class TrajectoryNode(ManagedNode):
         report.put('newest reference', self._sent, 'd')
         if not self.lockstep:
             report.put('states lost', self._guard.skipped, 'd')
-        self._rejections.report(report, {f'state: {reason}': count for reason, count
+        heard = 'pace' if self.lockstep else 'state'
+        self._rejections.report(report, {f'{heard}: {reason}': count for reason, count
                                          in self._guard.rejected().items()})
         return report
 
@@ -117,8 +118,8 @@ class TrajectoryNode(ManagedNode):
             first = self._sent + 1 if -CATCH_UP < ahead <= 0 else seq
             self._sent = seq + 1
             return first, seq + 2
-        if verdict is Verdict.REPEATED:     # what was sent may not have arrived
-            return seq, seq + 2
         first = self._sent + 1 if -CATCH_UP < ahead <= AHEAD else seq
+        if verdict is Verdict.REPEATED:     # what was sent may not have arrived
+            first = seq
         self._sent = max(min(seq + AHEAD, self._end), seq + 1)
         return first, self._sent + 1

@@ -21,10 +21,10 @@ from concurrent.futures.process import BrokenProcessPool
 from importlib.util import find_spec
 from itertools import chain, islice
 import multiprocessing
+import os
 from typing import Any
 
 from dz_ros.errors import ConfigurationError, LoopError, MissingDependencyError
-from dz_ros.runtime.privileges import usable_cores
 
 Task = tuple[Callable[..., Any], tuple[Any, ...]]
 """A function and its arguments."""
@@ -37,7 +37,9 @@ AHEAD = 3
 
 def cores() -> int:
     """Return the number of cores this process may use."""
-    return len(usable_cores())
+    if hasattr(os, 'sched_getaffinity'):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def execute(tasks: Iterable[Task], jobs: int = 0,

@@ -1,6 +1,5 @@
 """Records: their labels, their numbers, and a simulated run as channels of them."""
 
-
 import numpy as np
 import pytest
 

@@ -1,6 +1,5 @@
 """What the kit reads from a stream of states: a right one, and each way to be wrong."""
 
-
 import pytest
 
 from dz_ros.core.records import State

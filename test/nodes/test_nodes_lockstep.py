@@ -54,8 +54,20 @@ def test_a_trajectory_that_comes_back_goes_on_where_the_loop_is(loop, processes,
     stop(loop)
 
 
+@pytest.mark.parametrize(('name', 'transitions'), [
+    ('plant_node', (4, 3)), ('controller_node', (4, 3)), ('controller_node', (4, 2, 1, 3)),
+    ('trajectory_node', (4, 3))], ids=['plant', 'controller', 'controller anew', 'trajectory'])
+def test_a_node_that_was_not_active_for_a_while_goes_on(loop, operator, name, transitions):
+    for number in transitions:
+        assert operator.change(f'/{name}', number)
+    reached = operator.heard['state'][-1].data[0]
+    operator.wait(lambda: operator.heard['state'][-1].data[0] > reached + 500)
+    stop(loop)
+
+
 def test_everything_else_is_served_while_messages_come(loop, operator):
-    assert operator.set('/controller_node', controller__k_d=12.0).successful
+    for gain in range(5, 20):
+        assert operator.set('/controller_node', controller__k_d=float(gain)).successful
     assert operator.life('/plant_node') == 'active'
     press = operator.node.create_publisher(operator.bool, 'estop', rclpy.qos.QoSProfile(
         depth=1, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL))
@@ -86,9 +98,5 @@ def test_the_two_that_take_turns_share_no_core(loop, processes, operator):
 def test_cores_that_are_configured_are_taken(processes):
     core = usable_cores()[0]
     node = processes(*NODE, 'controller_node', *ARGUMENTS, '-p', f"process.cores:='{core}'")
-    node.wait_for_line('design rule')
-    deadline = 100
-    while os.sched_getaffinity(node.pid) != {core} and deadline:
-        node.wait_for_line('waiting for')
-        deadline -= 1
+    node.wait_for_line('design rule')      # the process was set up before
     assert os.sched_getaffinity(node.pid) == {core}

@@ -142,6 +142,7 @@ class ActuatorGuard:
         """
         self.supervisor.transition(name)
         self._watchdog.stop()
+        self.guard.restart()        # a state that is shown again has the same answer
         return self.gate.safe(t)
 
     def held_by(self, t: float, heard: bool = True) -> str:

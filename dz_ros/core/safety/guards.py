@@ -88,6 +88,10 @@ class SequenceGuard:
         """Begin to count anew."""
         self._out_of_turn.clear()
 
+    def restart(self) -> None:
+        """Forget the last message: what is sent again is news."""
+        self.last = ()
+
     def rejected(self) -> dict[str, int]:
         """Return reason → count of the messages not taken."""
         return {WORDS[verdict]: count for verdict, count in enumerate(self.counts)
