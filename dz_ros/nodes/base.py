@@ -10,7 +10,7 @@ from typing import Any
 
 import rclpy
 from rclpy.duration import Duration
-from rclpy.executors import SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor, TimeoutException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -29,12 +29,10 @@ DELIVERY = 4.0
 """Longest wait for listeners to have what was published [s]; DDS repairs losses every 3."""
 PATIENCE = 5.0
 """A node that waits for its peers says so after each of these [s]."""
-
-
-SERVE = 0.02
+SERVE = 0.05
 """In lockstep everything but the loop's topics is looked for after each of these [s] …"""
-AT_ONCE = 4
-"""… and so many callbacks are served then."""
+AT_ONCE = 20
+"""… and up to so many callbacks are served then."""
 
 
 class LoopNode(Node):
@@ -239,8 +237,19 @@ class LoopNode(Node):
         now = time.monotonic()
         if now > self._serve_at:
             self._serve_at = now + SERVE
-            for _ in range(AT_ONCE):
-                self._executor.spin_once(timeout_sec=0.0)
+            self._serve_ready()
+
+    def _serve_ready(self) -> None:
+        """Serve the callbacks that are ready; a look for nothing costs as much as a step."""
+        for _ in range(AT_ONCE):
+            try:
+                task, *_ = self._executor.wait_for_ready_callbacks(timeout_sec=0.0)
+            except TimeoutException:
+                return
+            task()
+            error = task.exception()
+            if error is not None:
+                raise error
 
     def spin_out(self) -> None:
         """Serve what has come already, callbacks and messages."""
