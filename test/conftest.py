@@ -98,14 +98,15 @@ class Process:
         """Return its exit code, None while it runs."""
         return self._process.poll()
 
-    def wait_for_line(self, part: str, timeout: float = 60.0) -> str:
-        """Return the first line that contains a text; fail if it ends or takes too long."""
+    def wait_for_line(self, part: str, timeout: float = 60.0, nth: int = 1) -> str:
+        """Return the nth line that contains a text; fail if it ends or takes too long."""
         deadline = time.monotonic() + timeout
         with self._changed:
             seen = 0
             while True:
                 for line in self._lines[seen:]:
-                    if part in line:
+                    nth -= part in line
+                    if nth == 0:
                         return line
                 seen = len(self._lines)
                 if self._finished or not self._changed.wait(deadline - time.monotonic()):

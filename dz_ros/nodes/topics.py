@@ -53,10 +53,10 @@ def everything(topic: str, lockstep: bool = False) -> QoSProfile:
 
 
 _LISTENERS = {'reference': ('controller_node', 'recorder_node'),
-             'state': ('controller_node', 'trajectory_node', 'recorder_node'),
-             'command': ('plant_node', 'recorder_node'),
-             'terms': ('recorder_node',),
-             'truth': ('recorder_node',)}
+              'state': ('controller_node', 'trajectory_node', 'recorder_node'),
+              'command': ('plant_node', 'recorder_node'),
+              'terms': ('recorder_node',),
+              'truth': ('recorder_node',)}
 PACE = ('seq', 'stamp')
 """Labels of `pace`, by which the trajectory knows in lockstep how far the loop is."""
 _IN_LOCKSTEP = {'state': ('controller_node', 'recorder_node'), 'pace': ('trajectory_node',)}

@@ -221,7 +221,7 @@ def test_nonsense_on_the_topics_does_not_end_the_page(processes, tmp_path):
             deadline = time.monotonic() + TIME_OUT
             while not publisher.get_subscription_count():
                 assert time.monotonic() < deadline
-                time.sleep(0.05)
+                rclpy.spin_once(node, timeout_sec=0.05)
             for text in said:
                 publisher.publish(String(data=text))
             heard.wait(TIME_OUT)
