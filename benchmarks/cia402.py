@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bus of the driver cia402: round trips, old answers, and the loop that tracks through it.
 
     python benchmarks/cia402.py                  about two minutes
@@ -31,7 +32,7 @@ import numpy as np  # noqa: E402
 
 from dz_ros.core.safety.health import Report  # noqa: E402
 from dz_ros.drivers.hosted import HostedDriver  # noqa: E402
-from dz_ros.files import load_configuration  # noqa: E402
+from dz_ros.files.configurations import load_configuration  # noqa: E402
 from dz_ros.recording.reader import read_run  # noqa: E402
 from dz_ros.runtime.deadlines import Deadlines  # noqa: E402
 
@@ -79,8 +80,8 @@ def bare(lead: float, seconds: float) -> list[str]:
                 hosted.advance(k * period, k)
                 missed += hosted.measure(k * period) is None
                 hosted.command(2.0 * math.sin(2.0 * k * period), k * period)
-                if hosted.trouble():
-                    raise SystemExit(f'the drive is in trouble: {hosted.trouble()}')
+                if hosted.fault():
+                    raise SystemExit(f'the drive is in fault: {hosted.fault()}')
             report = Report()
             hosted.report(report)
         finally:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What one step of a law costs in Python, records and all terms included.
 
     python benchmarks/law.py [--quick]
@@ -23,7 +24,8 @@ from benchmarks.machine import describe  # noqa: E402
 from benchmarks.speed_kit.rows import Row, show, spread  # noqa: E402
 from dz_ros.core.laws import LAWS  # noqa: E402
 from dz_ros.core.laws.base import Law  # noqa: E402
-from dz_ros.core.records import Reference, State, STATUS  # noqa: E402
+from dz_ros.core.records import Reference, State  # noqa: E402
+from dz_ros.core.signals import STATUS  # noqa: E402
 from dz_ros.errors import ConfigurationError  # noqa: E402
 
 JUDGED = ('wang2004', 'robust')

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The live page: what it costs, how late it is, and whether the loop notices it.
 
     python benchmarks/live.py [--quick] [--turns N] [--soak] [--write]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Steps per second of the loop in lockstep over DDS, recorded, beside bare two-process echoes.
 
 The bare echoes are two processes, the same bytes by the same client library and quality of
@@ -130,10 +131,10 @@ class Side:
         from rclpy.signals import SignalHandlerOptions
         from std_msgs.msg import Float64MultiArray
 
-        from dz_ros.nodes.base import quickest_executor
-        from dz_ros.nodes.guarded import GuardedNode
-        from dz_ros.nodes.taking import Taker
-        from dz_ros.nodes.topics import LOCKSTEP
+        from dz_ros.nodes.ros.base import quickest_executor
+        from dz_ros.nodes.ros.polling import PolledSubscriptions
+        from dz_ros.nodes.ros.safety import EAGER
+        from dz_ros.nodes.ros.topics import LOCKSTEP
 
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self.told = False
@@ -147,11 +148,12 @@ class Side:
                         in zip(self.publishers, sends, strict=True)]
         self.heard = self.others = 0
         self.answering = False
-        self.taker, self.eager = Taker(self.node) if alike else None, GuardedNode.eager
+        self.eager = EAGER
+        self.polled = PolledSubscriptions(self.node) if alike else None
         for i, name in enumerate(hears):
             hear = self.other if i else self.first
-            if self.taker is not None:
-                self.taker.subscribe(Float64MultiArray, f'echo/{name}', LOCKSTEP, hear)
+            if self.polled is not None:
+                self.polled.subscribe(Float64MultiArray, f'echo/{name}', LOCKSTEP, hear)
             else:
                 self.node.create_subscription(Float64MultiArray, f'echo/{name}', hear, LOCKSTEP,
                                               raw=True)
@@ -169,8 +171,8 @@ class Side:
 
     def spin(self, limit: float = 0.05) -> None:
         """Hear what comes."""
-        if self.taker is not None:
-            self.taker.take_soon(self.eager, limit)
+        if self.polled is not None:
+            self.polled.poll_soon(self.eager, limit)
         else:
             self.executor.spin_once(timeout_sec=limit)
 
@@ -221,7 +223,7 @@ class Side:
     def __exit__(self, *_: object) -> None:
         import rclpy
 
-        from dz_ros.nodes.base import deliver
+        from dz_ros.nodes.ros.base import deliver
 
         deliver(*self.publishers)
         self.executor.remove_node(self.node)

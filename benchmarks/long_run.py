@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A run of one hour at 200 Hz, five topics: time and memory of `dz bag info` and `dz report`.
 
 The run is a simulated one repeated end to end, its numbering and times going on, written as the
@@ -25,7 +26,7 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.machine import describe  # noqa: E402
 from dz_ros.core.configuration import Configuration  # noqa: E402
 from dz_ros.core.dataset import Channel, from_run, RunData  # noqa: E402
-from dz_ros.core.loop import simulate  # noqa: E402
+from dz_ros.core.loop.offline import simulate  # noqa: E402
 from dz_ros.recording.save import save_run  # noqa: E402
 
 LIMIT_SECONDS, LIMIT_BYTES = 60.0, 10 ** 9

@@ -1,12 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
 """The four nodes in real time, recorded, beside the least there can be in the same run.
 
-    python benchmarks/loop.py [--quick] [--only latency|cpu|rates|soak] [--rounds N]
+    python benchmarks/loop.py [--quick] [--rounds N] [--only PART]
 
-latency  round trip state → command → plant against bare two-process echoes, ticks against a bare
-         absolute-deadline loop; they take turns, so that they meet the same machine
-cpu      share of a core of the nodes against bare nodes that send the same, recorded as well
-rates    1 kHz for a minute, then the highest rate that holds
-soak     ten minutes at 200 Hz: what is lost, how memory grows
+latency    round trip state → command → plant against bare two-process echoes, ticks against a
+           bare absolute-deadline loop
+polling    the loop with `process.poll` beside the loop without: round trip, ticks, CPU
+cpu        share of a core of the nodes against bare nodes that send the same, recorded as well
+kilohertz  1 kHz for a minute in all against the bare deadline loop
+rates      the highest rate that holds
+soak       ten minutes at 200 Hz: what is lost, how memory grows
+
+The first four take short turns with their peers: a machine that others share changes from one
+second to the next, so only what is measured within seconds is compared. A row is the median of the
+ratios of the turns with its 90 % interval.
 """
 
 from __future__ import annotations
@@ -22,12 +29,14 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.machine import describe  # noqa: E402
 from benchmarks.speed_kit import running  # noqa: E402
-from benchmarks.speed_kit.rows import brief, Row, say, show, spread  # noqa: E402
+from benchmarks.speed_kit.rows import brief, in_turns, Row, say, show, spread  # noqa: E402
 
 ECHOES = {'events, UDP': ('events', 'UDPv4'), 'events, shared memory': ('events', ''),
           'wait set, UDP': ('wait', 'UDPv4'), 'plain': ('plain', '')}
 """Echo → way and transport; the best of all but `plain` is the floor."""
-PARTS = ('latency', 'cpu', 'rates', 'soak')
+PARTS = ('latency', 'polling', 'cpu', 'kilohertz', 'rates', 'soak')
+TURNS = 10
+"""Turns of loop and peers."""
 RATES = (1000.0, 1250.0, 1500.0, 2000.0, 2500.0, 3000.0)
 LOWER = (800.0, 667.0, 500.0, 400.0, 333.0, 250.0, 200.0)
 """Rates tried upwards; where not even the first holds, downwards [Hz]."""
@@ -38,77 +47,145 @@ PRIORITY = 50
 
 def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
     """Return round trips and ticks against bare ones, in turns."""
-    echoes: dict[str, list[list[float]]] = {
-        name: [] for name in ECHOES if not quick or name in ('events, UDP', 'plain')}
-    loops: list[running.Measured] = []
-    ticks: list[list[float]] = []
-    first: list[running.Measured] = []
+    seconds = 2.0
     permitted = not quick and not running.refused('--priority', str(PRIORITY))
-    seconds = 3.0 if quick else 4.0
+    kinds = {name: spread(running.echo(*ECHOES[name], seconds), 1e6)
+             for name in ECHOES if not quick or name in ('events, UDP', 'plain')}
+    floor = min((name for name in kinds if name != 'plain'), key=lambda n: kinds[n]['p50'])
+    found: dict[str, list[list[float]]] = {name: [] for name in ('loop', 'echo', 'plain', 'fifo',
+                                                                 'period', 'bare')}
+    late = too_late = samples = 0
     for turn in range(rounds):
-        for name in echoes:
-            echoes[name].append(running.echo(*ECHOES[name], seconds))
-        loops.append(running.loop(2.0 * seconds, folder / f'loop-{turn}'))
-        if permitted:
-            first.append(running.loop(2.0 * seconds, folder / f'first-{turn}',
-                                      f'process.priority={PRIORITY}'))
-        ticks.append(running.bare_ticks(seconds))
-        say(f'turn {turn + 1} of {rounds}: loop p50 '
-            f'{1e6 * statistics.median(loops[-1].round_trips):.0f} µs, ' + ', '.join(
-                f'{name} {1e6 * statistics.median(found[-1]):.0f}'
-                for name, found in echoes.items()))
-    pooled = {name: spread([item for turn in found for item in turn], 1e6)
-              for name, found in echoes.items()}
-    own = spread([item for turn in loops for item in turn.round_trips], 1e6)
-    floor = min((name for name in pooled if name != 'plain'), key=lambda n: pooled[n]['p50'])
-    period = spread([item for turn in loops for item in turn.deviations], 1e6)
-    bare = spread([item for turn in ticks for item in turn], 1e6)
-    samples = sum(turn.samples for turn in loops)
-    late = sum(turn.late for turn in loops)
-    beside = f'loop {brief(own)}; echo ({floor}) {brief(pooled[floor])}'
+        found['echo'].append(running.echo(*ECHOES[floor], seconds))
+        own = running.loop(2.0 * seconds, folder / f'loop-{turn}')
+        found['loop'].append(own.round_trips)
+        found['period'].append(own.deviations)
+        found['bare'].append(running.bare_ticks(seconds + 0.5))
+        if turn < rounds // 2 or rounds == 1:
+            found['plain'].append(running.echo(*ECHOES['plain'], seconds))
+        if permitted and turn < rounds // 2:
+            found['fifo'].append(running.loop(seconds, folder / f'first-{turn}',
+                                              f'process.priority={PRIORITY}').round_trips)
+        late, too_late, samples = (late + own.late, too_late + own.too_late,
+                                   samples + own.samples)
+        say(f'turn {turn + 1} of {rounds}: p50 ' + ', '.join(
+            f'{name} {1e6 * statistics.median(turns[-1]):.0f}' for name, turns in found.items()
+            if turns) + ' µs')
+    spreads = {name: [spread(turn, 1e6) for turn in turns] for name, turns in found.items()}
+
+    def ratios(name: str, peer: str, key: str) -> list[float]:
+        return [one[key] / other[key]
+                for one, other in zip(spreads[name], spreads[peer], strict=False)]
+
+    def pooled(name: str) -> str:
+        return f'{name} {brief(spread([item for turn in found[name] for item in turn], 1e6))}'
+
     rows = [
-        Row('round trip over the bare echo, p50', own['p50'] / pooled[floor]['p50'], 1.15,
-            detail=beside),
-        Row('round trip over the bare echo, p99', own['p99'] / pooled[floor]['p99'], 1.3),
-        Row('round trip over the plain echo, p50', own['p50'] / pooled['plain']['p50'], 0.75,
-            detail=f'plain {brief(pooled["plain"])}'),
-        Row('ticks, |period − T| over a bare deadline loop, p99', period['p99'] / bare['p99'], 1.2,
-            detail=f'loop {brief(period)}; bare {brief(bare)}'),
-        Row('ticks too late', sum(turn.too_late for turn in loops), 0.0, 'of them'),
+        in_turns('round trip over the bare echo, p50', ratios('loop', 'echo', 'p50'), 1.15,
+                 detail=f'{pooled("loop")}; {pooled("echo")} ({floor})'),
+        in_turns('round trip over the bare echo, p99', ratios('loop', 'echo', 'p99'), 1.3),
+        in_turns('round trip over the plain echo, p50', ratios('loop', 'plain', 'p50'), 0.75,
+                 detail=pooled('plain')),
+        in_turns('ticks, |period − T| over a bare deadline loop, p50',
+                 ratios('period', 'bare', 'p50'),
+                 detail=f'{pooled("period")}; {pooled("bare")}'),
+        in_turns('ticks, |period − T| over a bare deadline loop, p99',
+                 ratios('period', 'bare', 'p99'), 1.2),
+        Row('ticks too late', too_late, 0.0, 'of them'),
         Row('ticks late', 100.0 * late / samples, 0.2, '%', detail=f'{late} of {samples}')]
-    if first:
-        fifo = spread([item for turn in first for item in turn.round_trips], 1e6)
-        rows += [Row(f'the same with `process.priority: {PRIORITY}` (the echo without), {key}',
-                     fifo[key] / pooled[floor][key], detail=brief(fifo) if key == 'p50' else '')
+    if found['fifo']:
+        rows += [in_turns(f'round trip with `process.priority: {PRIORITY}` over the echo without, '
+                          f'{key}', ratios('fifo', 'echo', key),
+                          detail=pooled('fifo') if key == 'p50' else '')
                  for key in ('p50', 'p99')]
-    others = [name for name in pooled if name not in (floor, 'plain')]
-    return rows + [Row(f'another echo ({name}) over the best, p50',
-                       pooled[name]['p50'] / pooled[floor]['p50'], detail=brief(pooled[name]))
-                   for name in others]
+    return rows + [Row(f'another echo ({name}) over the best, p50, one turn',
+                       kinds[name]['p50'] / kinds[floor]['p50'], detail=brief(kinds[name]))
+                   for name in kinds if name not in (floor, 'plain')]
+
+
+def polling(folder: Path, rounds: int, quick: bool) -> list[Row]:
+    """Return what `process.poll` changes, in turns."""
+    choices = ('none', 'plant', 'both')
+    found: dict[str, list[running.Measured]] = {name: [] for name in choices}
+    for turn in range(rounds):
+        for name in choices[turn % 3:] + choices[:turn % 3]:
+            found[name].append(running.loop(2.0 if quick else 4.0, folder / f'{name}-{turn}',
+                                            f'process.poll={name}'))
+        say(f'turn {turn + 1} of {rounds}: round trip p50 ' + ', '.join(
+            f'{name} {1e6 * statistics.median(turns[-1].round_trips):.0f}'
+            for name, turns in found.items()) + ' µs')
+    rows = []
+    for name in choices[1:]:
+        for what, values in (('round trip', 'round_trips'), ('ticks, |period − T|', 'deviations')):
+            spreads = {item: [spread(getattr(turn, values), 1e6) for turn in found[item]]
+                       for item in ('none', name)}
+            for key in ('p50', 'p99'):
+                rows.append(in_turns(
+                    f'`process.poll: {name}` over none: {what}, {key}',
+                    [one[key] / other[key] for one, other in zip(spreads[name], spreads['none'],
+                                                                 strict=True)],
+                    detail='; '.join(f'{item} {statistics.median(turn[key] for turn in turns):.0f}'
+                                     ' µs' for item, turns in spreads.items())))
+        for node in ('plant_node', 'controller_node'):
+            shares = {item: [100.0 * turn.shares[node] for turn in found[item]]
+                      for item in ('none', name)}
+            rows.append(in_turns(f'`process.poll: {name}`: CPU of {node} more than with none',
+                                 [one - other for one, other in zip(shares[name], shares['none'],
+                                                                    strict=True)],
+                                 unit='% of a core'))
+    return rows
 
 
 def cpu(folder: Path, rounds: int, quick: bool) -> list[Row]:
-    """Return shares of a core against bare nodes."""
-    seconds = 4.0 if quick else 10.0
-    own, bare, stood_in = [], [], []
+    """Return shares of a core against bare nodes, in turns."""
+    seconds = 2.0 if quick else 4.0
+    own, bare, among = [], [], []
     for turn in range(rounds):
         own.append(running.loop(seconds, folder / f'cpu-{turn}').shares)
         bare.append(running.bare_loop(seconds, folder / f'bare-{turn}'))
-        stood_in.append(running.stood_in(seconds, folder / f'stood-in-{turn}'))
-    among = statistics.mean(turn.shares['controller_node'] for turn in stood_in)
-    mean = {name: statistics.mean(turn[name] for turn in own) for name in own[0]}
-    least = {name: statistics.mean(turn[name] for turn in bare) for name in bare[0]}
+        among.append(running.stood_in(seconds, folder / f'stood-in-{turn}').shares)
+        say(f'turn {turn + 1} of {rounds}: controller {100 * own[-1]["controller_node"]:.1f} %, '
+            f'bare {100 * bare[-1]["controller_node"]:.1f} %, '
+            f'among ours {100 * among[-1]["controller_node"]:.1f} %')
 
-    def words(shares: dict[str, float]) -> str:
-        return ', '.join(f'{name.removesuffix("_node")} {100 * share:.1f} %'
-                         for name, share in shares.items())
+    def words(turns: list[dict[str, float]]) -> str:
+        return ', '.join(f'{name.removesuffix("_node")} '
+                         f'{100 * statistics.median(turn[name] for turn in turns):.1f} %'
+                         for name in turns[0])
 
-    return [Row('CPU of controller_node over a bare node', mean['controller_node']
-                / least['controller_node'], 1.3, detail=f'bare nodes: {words(least)}'),
-            Row('CPU of controller_node over a bare node in its place among our nodes',
-                mean['controller_node'] / among, detail=f'bare node {100 * among:.1f} %'),
-            Row('CPU of all four nodes', 100.0 * sum(mean.values()), 35.0, '% of a core',
-                detail=words(mean))]
+    def ratios(peers: list[dict[str, float]]) -> list[float]:
+        return [one['controller_node'] / other['controller_node']
+                for one, other in zip(own, peers, strict=True)]
+
+    return [in_turns('CPU of controller_node over a bare node', ratios(bare), 1.3,
+                     detail=f'bare nodes: {words(bare)}'),
+            in_turns('CPU of controller_node over a bare node in its place among our nodes',
+                     ratios(among), detail=words(among)),
+            in_turns('CPU of all four nodes', [100.0 * sum(turn.values()) for turn in own], 30.0,
+                     unit='% of a core', detail=words(own))]
+
+
+def kilohertz(folder: Path, rounds: int, quick: bool, *settings: str) -> list[Row]:
+    """Return how 1 kHz goes beside the bare deadline loop, in turns."""
+    seconds = 3.0 if quick else 60.0 / rounds
+    found, alone = running.Measured(), []
+    for turn in range(rounds):
+        own = running.loop(seconds, folder / f'{len(settings)}-{turn}', 'loop.rate=1000.0',
+                           *settings)
+        alone += running.bare_ticks(seconds, 1000.0)
+        found.add(own)
+        say(f'1 kHz, turn {turn + 1} of {rounds}: {rate_words(own)}')
+    behind = sum(int(item / 1e-3) for item in alone)
+    name = f'1 kHz with `{settings[0]}`' if settings else '1 kHz'
+    least = 100.0 * sum(item > 1e-3 for item in alone) / len(alone)
+    return [Row(f'{name}: late', 100.0 * found.late / found.samples,
+                None if settings else 0.1, '%',
+                detail=f'{rate_words(found)}; a bare deadline loop in the same turns: '
+                f'{least:.3g} % late, {behind} periods in all, max {1e6 * max(alone):.0f} µs'),
+            Row(f'{name}: skipped or unanswered', found.skipped + found.unanswered,
+                None if settings else float(behind), 'samples',
+                detail='at most the periods by which the bare loop was late'),
+            Row(f'{name}: lost', found.lost, None if settings else 0.0, 'messages')]
 
 
 def holds(found: running.Measured) -> bool:
@@ -128,31 +205,14 @@ def rate_words(found: running.Measured) -> str:
             f'round trip {brief(spread(found.round_trips, 1e6))}')
 
 
-def rates(folder: Path, quick: bool) -> list[Row]:
-    """Return how 1 kHz goes and which rate is the highest that holds, also by SCHED_FIFO."""
-    seconds = 5.0 if quick else 60.0
-    long = running.loop(seconds, folder / 'kilohertz', 'loop.rate=1000.0')
-    alone = running.bare_ticks(seconds, 1000.0)
-    say(f'1 kHz: {rate_words(long)}')
-    rows = [Row('1 kHz: late', 100.0 * long.late / long.samples, 100.0 * LATE_SHARE, '%',
-                detail=f'{rate_words(long)}; a bare deadline loop after it: '
-                f'{sum(item > 1e-3 for item in alone)} of {len(alone)} late, '
-                f'max {1e6 * max(alone):.0f} µs'),
-            Row('1 kHz: lost, unanswered or skipped', gone(long), 0.0, 'samples')]
-    if quick:
-        return rows
-    rows += [highest(folder / 'normal', 'highest rate that holds for 10 s')]
+def rates(folder: Path) -> list[Row]:
+    """Return which rate is the highest that holds, also by SCHED_FIFO."""
+    rows = [highest(folder / 'normal', 'highest rate that holds for 10 s')]
     if running.refused('--priority', str(PRIORITY)):
         return rows
     first = f'process.priority={PRIORITY}'
-    long = running.loop(seconds, folder / 'first', 'loop.rate=1000.0', first)
-    say(f'1 kHz, {first}: {rate_words(long)}')
-    return [*rows,
-            Row(f'1 kHz with `{first}`: late', 100.0 * long.late / long.samples, unit='%',
-                detail=rate_words(long)),
-            Row(f'1 kHz with `{first}`: lost, unanswered or skipped', gone(long),
-                unit='samples'),
-            highest(folder / 'fifo', f'highest rate that holds for 10 s with `{first}`', first)]
+    return [*rows, highest(folder / 'fifo', f'highest rate that holds for 10 s with `{first}`',
+                           first)]
 
 
 def highest(folder: Path, name: str, *settings: str) -> Row:
@@ -187,22 +247,28 @@ def soak(folder: Path, seconds: float = 600.0) -> list[Row]:
     minutes = seconds / 60.0
     return [Row(f'{minutes:.0f} min: lost', found.lost, 0.0, 'messages',
                 detail=rate_words(found)),
-            Row(f'{minutes:.0f} min: growth of the memory of a node since minute one',
-                max(grown.values()), 2.0, 'MB', detail=', '.join(
-                    f'{name} {size:+.2f}' for name, size in grown.items()))]
+            *(Row(f'{minutes:.0f} min: growth of the memory of {name} since minute one', size,
+                  1.0, 'MB') for name, size in grown.items())]
 
 
 def measure(quick: bool = False, parts: tuple[str, ...] = PARTS, rounds: int = 0) -> list[Row]:
     """Return the lines of the table."""
     rows = []
+    rounds = rounds or (1 if quick else TURNS)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if 'latency' in parts:
-            rows += latency(folder, rounds or (1 if quick else 2), quick)
+            rows += latency(folder, rounds, quick)
+        if 'polling' in parts:
+            rows += polling(folder, rounds, quick)
         if 'cpu' in parts:
-            rows += cpu(folder, rounds or (1 if quick else 2), quick)
-        if 'rates' in parts:
-            rows += rates(folder, quick)
+            rows += cpu(folder, rounds, quick)
+        if 'kilohertz' in parts:
+            rows += kilohertz(folder, rounds, quick)
+            if not quick and not running.refused('--priority', str(PRIORITY)):
+                rows += kilohertz(folder, rounds, quick, f'process.priority={PRIORITY}')
+        if 'rates' in parts and not quick:
+            rows += rates(folder)
         if 'soak' in parts and not quick:
             rows += soak(folder)
     return rows
@@ -212,7 +278,8 @@ def main() -> int:
     """Print the table; return 1 if a target is missed."""
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
     parser.add_argument('--quick', action='store_true', help='short turns, no long runs')
-    parser.add_argument('--only', choices=PARTS, action='append', help='this part alone')
+    parser.add_argument('--only', choices=PARTS, action='append', metavar='PART',
+                        help=f'this part alone: {", ".join(PARTS)}')
     parser.add_argument('--rounds', type=int, default=0, help='turns')
     arguments = parser.parse_args()
     print(describe('ros-rclpy', 'ros-rmw-fastrtps-cpp'))

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compiled loop beside plain Python, hand-written C, scipy and python-control, with errors.
 
     python benchmarks/offline.py [--quick]
@@ -26,9 +27,9 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.machine import describe  # noqa: E402
 from benchmarks.speed_kit import peers  # noqa: E402
 from benchmarks.speed_kit.rows import Row, say, show  # noqa: E402
-from dz_ros.core.compiled import available, simulate_fast  # noqa: E402
 from dz_ros.core.configuration import Configuration  # noqa: E402
-from dz_ros.core.loop import simulate  # noqa: E402
+from dz_ros.core.loop.compiled import available, simulate_fast  # noqa: E402
+from dz_ros.core.loop.offline import simulate  # noqa: E402
 
 REFERENCE = ROOT / 'test' / 'data' / 'wang2004_lambda1_exact.csv'
 TARGETS = {'plain Python': 25.0, 'C -O2': 0.8, 'solve_ivp, sample by sample': 100.0,

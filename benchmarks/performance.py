@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every ratio of speed with its target, in one table; marks what falls short.
 
     python benchmarks/performance.py                  measure everything, print (half an hour)
@@ -24,14 +25,16 @@ import time
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-from benchmarks import batches, law, lockstep, loop, offline, starting  # noqa: E402
+from benchmarks import batches, law, lockstep, loop, offline, starting, switching  # noqa: E402
 from benchmarks.machine import describe  # noqa: E402
 from benchmarks.speed_kit import profile_of_a_node  # noqa: E402
 from benchmarks.speed_kit.rows import markdown, Row, say, show  # noqa: E402
 
 PARTS: dict[str, Callable[[bool], list[Row]]] = {
     'latency': lambda quick: loop.measure(quick, ('latency',)),
+    'polling': lambda quick: loop.measure(quick, ('polling',)),
     'cpu': lambda quick: loop.measure(quick, ('cpu',)),
+    'kilohertz': lambda quick: loop.measure(quick, ('kilohertz',)),
     'rates': lambda quick: loop.measure(quick, ('rates',)),
     'soak': lambda quick: loop.measure(quick, ('soak',)),
     'lockstep': lockstep.measure,
@@ -39,6 +42,7 @@ PARTS: dict[str, Callable[[bool], list[Row]]] = {
     'offline': offline.measure,
     'batches': batches.measure,
     'starting': starting.measure,
+    'switching': switching.measure,
 }
 """Part → what measures it."""
 QUICK = ('latency', 'law', 'starting', 'offline')

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sweeps for the documents: the study of ε, the boundary of chatter, and how fast sweeps are.
 
     python benchmarks/sweeps.py            print
@@ -23,8 +24,8 @@ import time
 
 from machine import describe
 
-from dz_ros.analysis.style import Picture
-from dz_ros.core.compiled import available
+from dz_ros.core.loop.compiled import available
+from dz_ros.report.style import Picture
 from dz_ros.studies.pool import cores
 from dz_ros.studies.scenarios import base_configuration
 from dz_ros.studies.sweep import read_sweep, run_sweep
@@ -37,6 +38,16 @@ STUDIES = {
     'chatter': ('controller.epsilon=0.005:0.05:40:log', 'plant.b=0.5:2:31'),
 }
 WHOLE = 100_000
+KEPT_CODE = """## What is kept
+
+`dz sweep`, `dz arena` and `dz.simulate(compiled=True)` keep compiled code in `$DZ_ROS_CACHE`,
+else in `dz_ros` in `$XDG_CACHE_HOME` or `~/.cache`, for every combination of law, plant,
+trajectory and observer; later processes load it. It is found by a hash of the byte code of all
+its functions, of every constant they read, of the processor and of the versions of Python and
+numba, so that an edited law is compiled again. At most 300 files are kept, a fifth of a megabyte
+each. A folder that another user owns or may write to is not used. `DZ_ROS_CACHE=off` keeps
+nothing.
+"""
 
 
 def main() -> int:
@@ -152,12 +163,12 @@ def write(machine: str, lines: list[str], drawn: dict[str, Picture]) -> None:
             '--over plant.b=0.5:2:31 --out chatter.csv`.', '',
             f'![{drawn["chatter"].alt}](images/sweep_chatter.png)', '',
             drawn['chatter'].caption, '', '## How fast', '', *lines, '',
-            'Compiled by numba, four RK4 steps a sample, metrics included; compiling, some '
-            f'seconds in each process, left out. Measured on {machine}; load average '
+            'Compiled by numba, four RK4 steps a sample, metrics included; compiling, which the '
+            f'first sweep of a law does, left out. Measured on {machine}; load average '
             f'{os.getloadavg()[0]:.1f} on {cores()} cores at the end. Scheduler and client of a '
             'cluster take their share of the same cores as its workers. The runs are those of the '
             'batches in [Performance](performance.md), measured at another time: rates differ by '
-            'what else the machine was doing.', '']
+            'what else the machine was doing.', '', KEPT_CODE]
     (ROOT / 'docs' / 'sweeps.md').write_text('\n'.join(text), encoding='utf-8')
 
 

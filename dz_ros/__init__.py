@@ -1,1 +1,25 @@
-"""Robust adaptive control of plants behind an actuator with an unknown dead-zone, on ROS 2."""
+# SPDX-License-Identifier: Apache-2.0
+"""Robust adaptive control of plants behind an actuator with an unknown dead-zone, on ROS 2.
+
+``import dz_ros as dz`` gives scripts and notebooks the functions of `dz_ros.api`; they are
+imported at first use, so that this import loads neither numpy nor ROS.
+"""
+
+from typing import Any
+
+__all__ = ['Comparison', 'Findings', 'Run', 'check', 'compare', 'from_control', 'load', 'read',
+           'simulate', 'sweep', 'to_control']
+
+
+def __getattr__(name: str) -> Any:
+    """Return a function or class of `dz_ros.api`."""
+    if name not in __all__:
+        raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
+    from dz_ros import api
+
+    return getattr(api, name)
+
+
+def __dir__() -> list[str]:
+    """Return the public names."""
+    return sorted([*globals(), *__all__])

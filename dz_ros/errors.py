@@ -1,14 +1,18 @@
+# SPDX-License-Identifier: Apache-2.0
 """Every error that dz_ros raises on purpose.
 
     DzRosError                      root: catch this one to catch them all
     ├── ConfigurationError          a key, its value, what is allowed     (also ValueError)
+    │   ├── LaunchArgumentError     NAME:=VALUE of ros2 launch            (also RuntimeError)
     │   └── UnknownNameError        a plant, law, trajectory, driver name (also LookupError)
+    │       └── ImportRefusedError  a recording names a module to import
     ├── MissingDependencyError      an optional package is not installed  (also ImportError)
     ├── MessageError                bytes or labels are not the topic's   (also ValueError)
     ├── RecordingError              a run that cannot be written or read
     │   ├── RunExistsError          refuses to overwrite                  (also FileExistsError)
     │   ├── RunNotFoundError        nothing there                         (also FileNotFoundError)
-    │   └── DamagedRunError         cut off or corrupted: says what to do
+    │   ├── MissingLabelError       records without a number that is needed (also KeyError)
+    │   └── DamagedRunError         cut off or corrupted, and what to do
     └── LoopError                   the running loop: peers, topics, nodes(also RuntimeError)
         └── DriverError             a device that is not there or refuses
 
@@ -17,7 +21,32 @@ The library raises; the command line prints the message, which is one line, and 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+import reprlib
 from typing import Any
+
+LONGEST_KEY = 200
+"""Characters of a key that an error shows."""
+_shown = reprlib.Repr()
+_shown.maxstring = _shown.maxother = _shown.maxlong = 200
+_shown.maxlist = _shown.maxtuple = _shown.maxdict = 20
+_shown.maxlevel = 3
+
+
+def shown(value: Any) -> str:
+    """Return a value as an error shows it: as Python writes it, abridged where it is long."""
+    try:
+        return _shown.repr(value)
+    except ValueError:      # an int of more digits than Python writes
+        return f'{type(value).__name__} of too many digits'
+
+
+def suggestion(word: str, known: Iterable[str]) -> str:
+    """Return what an error adds about the known name nearest to a misspelt one; '' if none is."""
+    import difflib
+
+    near = difflib.get_close_matches(word, list(known), n=1)
+    return f'; did you mean {near[0]}?' if near else ''
 
 
 class DzRosError(Exception):
@@ -34,18 +63,43 @@ class ConfigurationError(DzRosError, ValueError):
     Attributes:
         key: Dotted key as the user writes it, e.g. ``controller.lambda``.
         value: The offending value, as given.
-        allowed: What would be accepted, in words.
+        allowed: What would be accepted, as text.
     """
 
     def __init__(self, key: str, value: Any, allowed: str) -> None:
         self.key = key
         self.value = value
         self.allowed = allowed
-        super().__init__(f'{key} = {value!r}: {allowed}')
+        name = key if len(key) <= LONGEST_KEY else f'{key[:LONGEST_KEY]}…'
+        super().__init__(f'{name} = {shown(value)}: {allowed}')
+
+
+class LaunchArgumentError(ConfigurationError, RuntimeError):
+    """An argument of a launch file that is not allowed; attributes as of its base."""
+
+    def __init__(self, key: str, value: Any, allowed: str) -> None:
+        super().__init__(key, value, allowed)
+        self.args = (f'{key}:={str(value)[:200]}: {allowed}',)
 
 
 class UnknownNameError(ConfigurationError, LookupError):
     """A plant, law, trajectory or driver that is not installed."""
+
+
+class ImportRefusedError(UnknownNameError):
+    """A recording or a message names a module that the user did not allow to be imported.
+
+    Attributes:
+        module: That module.
+    """
+
+    def __init__(self, key: str, value: str, module: str) -> None:
+        self.module = module
+        named = module if module.replace('.', '').isidentifier() else ascii(module)
+        super().__init__(key, value, 'a recording or a message names this module, which is '
+                         'therefore not imported'
+                         + (f'; if you trust it: --allow-import {named}'
+                            if len(named) <= LONGEST_KEY else ''))
 
 
 class MissingDependencyError(DzRosError, ImportError):
@@ -58,12 +112,14 @@ class MessageError(DzRosError, ValueError):
     Attributes:
         expected: Labels the topic carries; empty where any would do.
         got: Labels found; empty where the message has none or cannot be read.
+        cause: One of few causes by which such messages are counted; empty = by `got`.
     """
 
     def __init__(self, reason: str, expected: tuple[str, ...] = (),
-                 got: tuple[str, ...] = ()) -> None:
+                 got: tuple[str, ...] = (), cause: str = '') -> None:
         self.expected = expected
         self.got = got
+        self.cause = cause
         super().__init__(reason)
 
 
@@ -77,6 +133,10 @@ class RunExistsError(RecordingError, FileExistsError):
 
 class RunNotFoundError(RecordingError, FileNotFoundError):
     """No run at the given path."""
+
+
+class MissingLabelError(RecordingError, KeyError):
+    """A run whose records lack a number that is needed."""
 
 
 class DamagedRunError(RecordingError):
@@ -93,4 +153,4 @@ class DriverError(LoopError):
 
 NO_RCLPY = ('rclpy is not installed here: source an installed ROS 2 Jazzy, or '
             "pip install 'dz_ros[ros]' on CPython 3.10 to 3.13")
-"""What to say where a node cannot start."""
+"""Message where a node cannot start."""

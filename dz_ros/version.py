@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The version, whose one source is package.xml."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The whole loop: plant, controller and trajectory, with an optional recorder.
 
 ros2 launch dz_ros closed_loop.launch.py
@@ -6,38 +7,34 @@ ros2 launch dz_ros closed_loop.launch.py record:=/path/to/new_run namespace:=lef
 ros2 launch dz_ros closed_loop.launch.py driver:=cia402
 """
 
-from pathlib import Path
-
-from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
+from dz_ros.files.launch_arguments import LaunchArguments
 from launch import LaunchDescription
 
 PEERS = ['plant_node', 'controller_node', 'trajectory_node']
+ARGUMENTS = ('config', 'duration', 'record', 'namespace', 'driver')
 
 
 def nodes(context):
     """Return the actions for the arguments given."""
-    config = configuration_file(LaunchConfiguration('config').perform(context))
-    duration = LaunchConfiguration('duration').perform(context)
-    record = LaunchConfiguration('record').perform(context)
-    namespace = LaunchConfiguration('namespace').perform(context)
-    driver = LaunchConfiguration('driver').perform(context)
+    given = LaunchArguments({name: LaunchConfiguration(name).perform(context)
+                             for name in ARGUMENTS})
+    config, record = given.configuration(), given.new_directory()
+    namespace, driver = given.namespace(), given.driver()
 
     settings = {'loop.peers': PEERS + (['recorder_node'] if record else [])}
     peers = PEERS
     if driver:
-        settings['driver.name'] = driver
+        settings['driver.name'] = ParameterValue(driver, value_type=str)
         peers = ['actuator_node', *PEERS[1:]]
-    if duration:
-        try:
-            settings['loop.duration'] = float(duration)
-        except ValueError:
-            raise RuntimeError(f'duration:={duration}: must be a number of seconds') from None
+    if given.text('duration'):
+        settings['loop.duration'] = given.number('duration', 'seconds')
 
     def node(name, **extra):
         return Node(package='dz_ros', executable=name, name=name, namespace=namespace,
@@ -45,7 +42,8 @@ def nodes(context):
 
     started = {name: node(name) for name in peers}
     if record:
-        started['recorder_node'] = node('recorder_node', directory=str(Path(record).absolute()))
+        started['recorder_node'] = node('recorder_node',
+                                        directory=ParameterValue(record, value_type=str))
     # The plant is the loop's clock: when it has ended, the run is over. When another node has
     # ended before it, the loop is broken, and the rest must not go on without it.
     return [*started.values(), *(
@@ -54,25 +52,15 @@ def nodes(context):
         for name, action in started.items())]
 
 
-def configuration_file(config):
-    """Return the path of a configuration given by path or by the name of one that ships."""
-    shipped = Path(get_package_share_directory('dz_ros')) / 'config' / f'{config}.yaml'
-    if not Path(config).exists() and shipped.exists():
-        return str(shipped)
-    if not Path(config).is_file():
-        raise RuntimeError(f'config:={config}: no such file, and no configuration of that name')
-    return config
-
-
 def generate_launch_description():
     """Return the launch description."""
     return LaunchDescription([
-        DeclareLaunchArgument('config', default_value='robust',
+        DeclareLaunchArgument('config', default_value='robust_eso',
                               description='parameter file of the loop, or the name of one that '
                                           'ships with dz_ros'),
         DeclareLaunchArgument('duration', default_value='',
                               description='length of the run [s]; 0 = until stopped; '
-                                          'empty = as the parameter file says'),
+                                          'empty = as in the parameter file'),
         DeclareLaunchArgument('record', default_value='',
                               description='directory to record the run to; must not exist yet; '
                                           'empty = no recording'),

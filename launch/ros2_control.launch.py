@@ -1,8 +1,12 @@
+# SPDX-License-Identifier: Apache-2.0
 """The loop around a joint of ros2_control, whose controller_manager runs already.
 
 ros2 launch dz_ros ros2_control.launch.py
 ros2 launch dz_ros ros2_control.launch.py config:=/path/to/file.yaml joint:=elbow
-ros2 launch dz_ros ros2_control.launch.py spawn:=effort_controller,joint_state_broadcaster
+ros2 launch dz_ros ros2_control.launch.py spawn:=joint_state_broadcaster,effort_controller
+
+Controllers that are spawned are configured for the joint that the loop drives; the loop starts
+when they are active, and nothing goes on when they cannot be.
 """
 
 from pathlib import Path
@@ -11,67 +15,69 @@ from ament_index_python.packages import get_package_share_directory
 from launch.actions import DeclareLaunchArgument, EmitEvent, OpaqueFunction, RegisterEventHandler
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
+from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
+from dz_ros.files.launch_arguments import joint_controllers, LaunchArguments
 from launch import LaunchDescription
 
 PEERS = ['plant_node', 'controller_node', 'trajectory_node']
-"""Whom the loop waits for; actuator_node takes the place of plant_node."""
+"""Peers that the loop waits for; actuator_node takes the place of plant_node."""
+ARGUMENTS = ('config', 'joint', 'duration', 'record', 'namespace', 'spawn', 'controllers')
 
 
 def nodes(context):
     """Return the actions for the arguments given."""
-    share = Path(get_package_share_directory('dz_ros'))
-    config = configuration_file(LaunchConfiguration('config').perform(context), share)
-    record = LaunchConfiguration('record').perform(context)
-    joint = LaunchConfiguration('joint').perform(context)
-    spawn = [name.strip() for name in LaunchConfiguration('spawn').perform(context).split(',')
-             if name.strip()]
+    given = LaunchArguments({name: LaunchConfiguration(name).perform(context)
+                             for name in ARGUMENTS})
+    config, record, namespace = given.configuration(), given.new_directory(), given.namespace()
+    joint, spawn = given.text('joint'), given.names('spawn')
     settings = {'loop.peers': PEERS + (['recorder_node'] if record else []),
                 'driver.name': 'joint'}
     if joint:
-        settings['driver.joint'] = joint
-    if LaunchConfiguration('duration').perform(context):
-        settings['loop.duration'] = number(context, 'duration')
+        settings['driver.joint'] = ParameterValue(joint, value_type=str)
+    if given.text('duration'):
+        settings['loop.duration'] = given.number('duration', 'seconds')
+    controllers = given.existing('controllers', 'file') if given.text('controllers') else ''
 
     def node(name, **extra):
-        return Node(package='dz_ros', executable=name, name=name, output='screen',
-                    parameters=[config, {**settings, **extra}])
+        return Node(package='dz_ros', executable=name, name=name, namespace=namespace,
+                    output='screen', parameters=[config, {**settings, **extra}])
 
     started = {name: node(name) for name in ('actuator_node', 'controller_node',
                                              'trajectory_node')}
     if record:
-        started['recorder_node'] = node('recorder_node', directory=str(Path(record).absolute()))
-    spawner = [Node(package='controller_manager', executable='spawner', output='screen',
-                    arguments=[*spawn, '--param-file',
-                               LaunchConfiguration('controllers').perform(context)
-                               or str(share / 'launch' / 'joint_controllers.yaml')])]
+        started['recorder_node'] = node('recorder_node',
+                                        directory=ParameterValue(record, value_type=str))
     # The actuator is the loop's clock: when it has ended, the run is over. When another node has
     # ended before it, the loop is broken, and the rest must not go on without it.
-    return [*(spawner if spawn else []), *started.values(), *(
+    loop = [*started.values(), *(
         RegisterEventHandler(OnProcessExit(
             target_action=action, on_exit=[EmitEvent(event=Shutdown(reason=f'{name} has ended'))]))
         for name, action in started.items())]
+    if not spawn:
+        return loop
+    if not controllers:
+        # The manager reads it when it loads a controller, so it stays with the launch's log.
+        share = Path(get_package_share_directory('dz_ros'))
+        overrides = {'driver.name': 'joint', **({'driver.joint': joint} if joint else {})}
+        controllers = str(joint_controllers(share / 'launch' / 'joint_controllers.yaml',
+                                            given.read(**overrides), Path(launch_config.log_dir)))
+    spawner = Node(package='controller_manager', executable='spawner', output='screen',
+                   arguments=[*spawn, '--param-file', controllers])
 
+    def spawned(event, context):
+        """Start the loop when the controllers are active, else end the launch with an error."""
+        if event.returncode == 0:
+            return loop
+        if context.is_shutdown:
+            return None
+        raise RuntimeError(f'spawn:={",".join(spawn)}: the spawner has failed with exit code '
+                           f'{event.returncode}; the loop is not started')
 
-def number(context, name):
-    """Return an argument that is a number."""
-    text = LaunchConfiguration(name).perform(context)
-    try:
-        return float(text)
-    except ValueError:
-        raise RuntimeError(f'{name}:={text}: must be a number of seconds') from None
-
-
-def configuration_file(config, share):
-    """Return the path of a configuration given by path or by the name of one that ships."""
-    shipped = share / 'config' / f'{config}.yaml'
-    if not Path(config).exists() and shipped.exists():
-        return str(shipped)
-    if not Path(config).is_file():
-        raise RuntimeError(f'config:={config}: no such file, and no configuration of that name')
-    return config
+    return [spawner, RegisterEventHandler(OnProcessExit(target_action=spawner, on_exit=spawned))]
 
 
 def generate_launch_description():
@@ -81,18 +87,21 @@ def generate_launch_description():
                               description='parameter file of the loop, or the name of one that '
                                           'ships with dz_ros'),
         DeclareLaunchArgument('joint', default_value='',
-                              description='name of the joint; empty = as the parameter file says'),
+                              description='name of the joint; empty = as in the parameter file'),
         DeclareLaunchArgument('duration', default_value='',
                               description='length of the run [s]; 0 = until stopped; '
-                                          'empty = as the parameter file says'),
+                                          'empty = as in the parameter file'),
         DeclareLaunchArgument('record', default_value='',
                               description='directory to record the run to; must not exist yet; '
                                           'empty = no recording'),
+        DeclareLaunchArgument('namespace', default_value='',
+                              description='ROS namespace of the loop; not of the controllers'),
         DeclareLaunchArgument('spawn', default_value='',
                               description='controllers to load and activate first, separated by '
                                           'commas; empty = they run already'),
         DeclareLaunchArgument('controllers', default_value='',
                               description='parameter file of the controllers to spawn; empty = '
-                                          'launch/joint_controllers.yaml of dz_ros'),
+                                          'launch/joint_controllers.yaml of dz_ros, for the joint '
+                                          'of the loop'),
         OpaqueFunction(function=nodes),
     ])

@@ -1,11 +1,15 @@
-"""Fixtures: a ROS domain of one's own, processes that end with it, firmware, launch files."""
+# SPDX-License-Identifier: Apache-2.0
+"""Fixtures: a ROS domain of one's own, processes that end with it, firmware, launches, runs."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 import contextlib
+from dataclasses import replace
 import fcntl
+import functools
 import importlib.util
+import json
 import os
 from pathlib import Path
 import shutil
@@ -16,14 +20,83 @@ import tempfile
 import threading
 import time
 import types
+from types import SimpleNamespace
+from typing import Any
 
+import hypothesis
+import numpy as np
 import pytest
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.dataset import Channel, from_run, RunData
+from dz_ros.core.loop.controller import Controller
+from dz_ros.core.loop.offline import simulate
+from dz_ros.core.records import Command, Reference, State, Terms
+from dz_ros.version import version
+
+# A slow machine is no finding, and a test run twice is the same test; `make fuzz` looks for more.
+hypothesis.settings.register_profile(
+    'test', deadline=None, derandomize=True,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow])
+hypothesis.settings.register_profile('quick', hypothesis.settings.get_profile('test'),
+                                     max_examples=10)
+hypothesis.settings.load_profile('test')
 
 DOMAINS = range(102)
 """ROS_DOMAIN_ID that leave room for DDS's ports on every platform."""
 
+os.environ['DZ_ROS_CACHE'] = 'off'      # what is tested is compiled from what is there now
+
+PROCESSES = 'processes'
+"""First word of the name of a group of tests that start processes of ROS or a browser."""
+
 END_TIME_OUT = 30.0
 """A process that has not ended this long after SIGINT is killed [s]."""
+
+
+def pytest_configure() -> None:
+    """Take SIGINT, which a job in the background ignores, and its children would with it."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.hookimpl(tryfirst=True)     # before xdist reads the groups
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Have workers take whole files, which may share fixtures; of what waits, whole functions."""
+    if not config.pluginmanager.hasplugin('xdist'):
+        return
+    for item in items:
+        file, _, function = item.nodeid.partition('[')[0].partition('::')
+        marks = {mark.name for mark in item.iter_markers()}
+        group = (f'{PROCESSES} {file}' if 'live' in marks else      # which share a browser
+                 f'{PROCESSES} {file} {function}' if 'ros' in marks else
+                 f'{file} {function}' if '/drivers/' in file else file)
+        item.add_marker(pytest.mark.xdist_group(group))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Return a scheduler that mixes what waits with what computes."""
+    if config.option.dist != 'loadgroup':
+        return None
+    from xdist.scheduler import LoadGroupScheduling
+
+    class Mixed(LoadGroupScheduling):
+        """The last worker takes what starts no processes first, all others what does.
+
+        Tests with ROS processes mostly wait, so some of them at once, each in a domain of its
+        own, leave the cores enough for one that computes.
+        """
+
+        def _assign_work_unit(self, node: Any) -> None:
+            starts = node is not self.nodes[-1] or len(self.nodes) == 1
+            wanted = next((scope for scope in self.workqueue
+                           if scope.startswith(PROCESSES) == starts), None)
+            if wanted is not None:
+                self.workqueue.move_to_end(wanted, last=False)
+            super()._assign_work_unit(node)
+
+    return Mixed(config, log)
 
 
 @pytest.fixture
@@ -66,7 +139,9 @@ class Process:
         self._process = subprocess.Popen(
             self.command, env=dict(environment), cwd=folder, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors='replace',
-            start_new_session=True)
+            start_new_session=True,
+            # A job in the background may ignore it, and its children would with it.
+            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL))
         self._lines: list[str] = []
         self._changed = threading.Condition()
         self._finished = False
@@ -98,7 +173,7 @@ class Process:
         """Return its exit code, None while it runs."""
         return self._process.poll()
 
-    def wait_for_line(self, part: str, timeout: float = 60.0, nth: int = 1) -> str:
+    def wait_for_line(self, part: str, timeout: float = 180.0, nth: int = 1) -> str:
         """Return the nth line that contains a text; fail if it ends or takes too long."""
         deadline = time.monotonic() + timeout
         with self._changed:
@@ -117,7 +192,7 @@ class Process:
         """Send a signal to the process alone, as `kill PID` does."""
         self._process.send_signal(number)
 
-    def wait(self, timeout: float = 60.0) -> int:
+    def wait(self, timeout: float = 180.0) -> int:
         """Return its exit code once it and its output have ended; fail after the time-out."""
         try:
             code = self._process.wait(timeout)
@@ -174,6 +249,49 @@ def processes() -> Iterator[StartProcess]:
     finally:
         for process in reversed(started):
             process.end()
+
+
+class SmallDisk:
+    """A file system of a few kilobytes that only programs started by `enter` see by its path.
+
+    Attributes:
+        path: Where they see it.
+        outside: The same folder, for this process.
+        enter: Words before a command that is to see it.
+    """
+
+    def __init__(self, holder: Process, path: Path) -> None:
+        self.path = path
+        self.outside = Path(f'/proc/{holder.pid}/root{path}')
+        self.enter = ('nsenter', '--preserve-credentials', '-U', '-m', f'--wd={Path.cwd()}', '-t',
+                      str(holder.pid), '--')
+
+    def fill(self, left: int) -> Path:
+        """Fill it but for some bytes; return the file that does, to be removed."""
+        filler = self.outside / 'filler'
+        with filler.open('wb', buffering=0) as file, contextlib.suppress(OSError):
+            while True:
+                file.write(bytes(4096))
+        os.truncate(filler, filler.stat().st_size - left)
+        return filler
+
+
+@pytest.fixture
+def small_disk(processes: StartProcess, tmp_path: Path) -> Callable[[str], SmallDisk]:
+    """Return ``mount(size) -> SmallDisk``; skip where such a disk cannot be made."""
+    def mount(size: str) -> SmallDisk:
+        path = tmp_path / 'disk'
+        path.mkdir()
+        if not all(map(shutil.which, ('unshare', 'nsenter', 'mount'))):
+            pytest.skip('a full disk needs unshare, nsenter and mount')
+        holder = processes('unshare', '-rm', 'sh', '-c',
+                           f'mount -t tmpfs -o size={size} none {path} && echo mounted && '
+                           'exec sleep 3600 || echo refused')
+        if 'mounted' not in holder.wait_for_line('ed'):
+            pytest.skip(f'a disk of its own cannot be mounted here: {holder.output}')
+        return SmallDisk(holder, path)
+
+    return mount
 
 
 FIRMWARE = Path(__file__).parents[1] / 'examples' / 'firmware'
@@ -250,13 +368,21 @@ LAUNCH = {'launch': ['LaunchDescription'],
           'launch.actions': ['DeclareLaunchArgument', 'EmitEvent', 'OpaqueFunction',
                              'RegisterEventHandler'],
           'launch.event_handlers': ['OnProcessExit'], 'launch.events': ['Shutdown'],
+          'launch.logging': ['launch_config'],
           'launch.substitutions': ['LaunchConfiguration'], 'launch_ros': [],
-          'launch_ros.actions': ['Node']}
+          'launch_ros.actions': ['Node'],
+          'launch_ros.parameter_descriptions': ['ParameterValue']}
 """What our launch files use of launch, which has no wheels: module → classes."""
 
 
+def parameter_value(value, value_type):
+    """Return the value that launch is told not to guess the type of."""
+    assert type(value) is value_type
+    return value
+
+
 @pytest.fixture
-def load_launch_file(monkeypatch):
+def load_launch_file(monkeypatch, tmp_path):
     """Return ``load(name) -> module`` of launch/NAME.launch.py, with stand-ins for launch."""
     root = Path(__file__).parents[1]
 
@@ -266,6 +392,8 @@ def load_launch_file(monkeypatch):
             for kind in classes:
                 setattr(module, kind, type(kind, (Made,), {}))
             monkeypatch.setitem(sys.modules, module_name, module)
+        sys.modules['launch_ros.parameter_descriptions'].ParameterValue = parameter_value
+        sys.modules['launch.logging'].launch_config.log_dir = str(tmp_path / 'log')
         index = types.ModuleType('ament_index_python.packages')
         index.get_package_share_directory = lambda package: str(root)
         monkeypatch.setitem(sys.modules, 'ament_index_python.packages', index)
@@ -276,3 +404,177 @@ def load_launch_file(monkeypatch):
         return module
 
     return load
+
+
+Simulated = Callable[..., RunData]
+
+EPOCH = 1_700_000_000_000_000_000
+LATENCY = 400_000
+"""Nanoseconds from publishing a state to publishing its command."""
+
+
+@functools.cache
+def _simulated(items: tuple[tuple[str, Any], ...]) -> RunData:
+    return from_run(simulate(Configuration.from_flat(dict(items))))
+
+
+@pytest.fixture(scope='session')
+def simulated() -> Simulated:
+    """``simulated({'controller.law': 'pd'})``: an offline run; equal ones are made once."""
+    def make(overrides: Mapping[str, Any] | None = None) -> RunData:
+        return _simulated(tuple((key, tuple(value) if isinstance(value, list) else value)
+                                for key, value in (overrides or {}).items()))
+    return make
+
+
+@pytest.fixture(scope='session')
+def over_topics() -> Callable[..., RunData]:
+    """``over_topics(run, late={seq: ns})``: the run with the times a real-time loop would have.
+
+    Every topic is published T apart, the command LATENCY after its state, each logged 100 µs
+    later; `late` delays the state of a sample, and what follows from it, by so many ns.
+    """
+    def dress(run: RunData, late: Mapping[int, int] | None = None) -> RunData:
+        count = len(run.channels['state'])
+        ticks = EPOCH + np.round(np.arange(count) * 1e9
+                                 / run.configuration['loop.rate']).astype(np.int64)
+        for seq, delay in (late or {}).items():
+            ticks[seq] += delay
+        after = {'reference': -1_000_000, 'state': 0, 'truth': 20_000, 'command': LATENCY,
+                 'terms': LATENCY + 30_000}
+        channels = {}
+        for name, channel in run.channels.items():
+            values = channel.values.copy()
+            if name == 'command':
+                values[:, channel.labels.index('hold')] = 0.5e-9 * LATENCY
+            if name == 'state':
+                values[1:, channel.labels.index('round_trip')] = 1.5e-9 * LATENCY
+            published = ticks + after[name]
+            channels[name] = Channel(channel.labels, values, published + 100_000, published)
+        return replace(run, channels=channels, info={'mode': 'realtime', 'host': 'bench'})
+    return dress
+
+
+@pytest.fixture(scope='session')
+def keep() -> Callable[..., RunData]:
+    """``keep(run, state=rows, command=rows)``: the run with these rows of these channels only."""
+    def cut(run: RunData, **rows: Any) -> RunData:
+        channels = dict(run.channels)
+        for name, chosen in rows.items():
+            old = channels[name]
+            channels[name] = Channel(old.labels, old.values[chosen], old.log_time[chosen],
+                                     old.publish_time[chosen])
+        return replace(run, channels=channels)
+    return cut
+
+
+T = 0.005
+BASE = {'loop.duration': 2.0}
+
+
+class Log:
+    """A log written as a recorder would, one message after the other, 100 µs apart."""
+
+    def __init__(self, configuration, mode='realtime'):
+        self.configuration, self.mode = configuration, mode
+        self.rows = {name: [] for name in ('reference', 'state', 'command', 'terms')}
+        self.events, self.now = [], 1_700_000_000_000_000_000
+
+    def put(self, name, numbers):
+        self.now += 100_000
+        self.rows[name].append((self.now, tuple(map(float, numbers))))
+
+    def announce(self, configuration, seq, memory, said=None):
+        self.now += 100_000
+        self.events.append((self.now, '/controller_node', json.dumps({
+            'node': '/controller_node', 'event': 'configuration', 'version': said or version(),
+            'owns': ['controller'], 'configuration': configuration.to_flat(), 'set_aside': [],
+            'seq': seq, 'memory': list(memory)})))
+
+    def data(self):
+        order = self.configuration.plant.order
+        labels = {'reference': Reference.labels(order), 'state': State.labels(order),
+                  'command': Command.labels(),
+                  'terms': Terms.labels(self.configuration.law.signal_names)}
+        return RunData({name: Channel(labels[name], np.array([row for _, row in rows]),
+                                      *[np.array([time for time, _ in rows])] * 2)
+                        for name, rows in self.rows.items() if rows},
+                       self.configuration.to_flat(), {'mode': self.mode}, tuple(self.events))
+
+
+def real_time(samples=300, changes=(), restart=None, plant_restart=None, said=None, flat=BASE):
+    """Return a real-time log with jitter, skipped periods, lost and repeated messages.
+
+    Args:
+        samples: States published.
+        changes: (seq, overrides): gain changes.
+        restart: State at which the controller is started anew.
+        plant_restart: State at which the plant is started anew.
+        said: Version the controller states.
+        flat: Configuration.
+    """
+    generator = np.random.default_rng(7)
+    configuration = Configuration.from_flat(flat)
+    log, controller, count = Log(configuration), Controller(configuration), 0
+    log.announce(configuration, 0, controller.memory, said)
+    x, stamp, seq = list(configuration.x0), 0.0, 0
+    changes = dict(changes)
+    for k in range(samples):
+        if k == restart:
+            controller, count = Controller(configuration), 0
+            log.announce(configuration, 0, controller.memory, said)
+        if k == plant_restart:
+            x, stamp, seq = list(configuration.x0), 0.0, 0
+        if count in changes:
+            configuration = configuration.replace(**changes.pop(count))
+            controller.law = configuration.law
+            log.announce(configuration, count, controller.memory, said)
+        sample = round(stamp / T)
+        meant = Reference(seq, sample * T, configuration.trajectory(sample * T))
+        log.put('reference', meant.numbers())
+        if k % 37 != 5 or not controller.has_reference:    # else it arrives too late
+            controller.set_reference(meant)
+        state = State(seq, stamp, tuple(x), count - 1, 0.0, 0.0)
+        for _ in range(2 if k % 50 == 3 else 1):       # sent again: the same answer again
+            log.put('state', state.numbers())
+            if k % 41 == 11:                            # never reaches the controller
+                continue
+            command, terms = controller.respond(state)
+            count = command.seq + 1
+            log.put('command', (*command.numbers()[:-1], generator.uniform(0.0, 1e-3)))
+            log.put('terms', terms.numbers())
+        if k % 37 == 5:
+            controller.set_reference(meant)
+        skipped = {60: 1, 120: 2, 180: 5}.get(k, 0)
+        stamp += T * (1 + skipped) + generator.normal(0.0, 5e-5)
+        x[0] += T * x[1]
+        x[1] += T * (command.v - x[0]) + generator.normal(0.0, 0.01)
+        seq += 1
+    return log.data()
+
+
+def offline(**overrides):
+    return from_run(simulate(Configuration.from_flat({**BASE, **overrides})))
+
+
+def change(run, name, label, row, value):
+    """Return the run with one number changed."""
+    channel = run.channels[name]
+    values = channel.values.copy()
+    values[row, channel.labels.index(label)] = value
+    return replace(run, channels={**run.channels, name: replace(channel, values=values)})
+
+
+def drop(run, name, *rows):
+    """Return the run without some messages."""
+    channel = run.channels[name]
+    keep = np.setdiff1d(np.arange(len(channel)), [row % len(channel) for row in rows])
+    return replace(run, channels={**run.channels, name: Channel(
+        channel.labels, channel.values[keep], channel.log_time[keep],
+        channel.publish_time[keep])})
+
+
+@pytest.fixture(scope='session')
+def logs():
+    """Return what makes logs: `real_time`, `offline`; and alters them: `change`, `drop`."""
+    return SimpleNamespace(real_time=real_time, offline=offline, change=change, drop=drop)

@@ -1,6 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
 """launch/closed_loop.launch.py, run with stand-ins for launch, which has no wheels."""
 
 from pathlib import Path
+import re
 
 import pytest
 
@@ -35,7 +37,7 @@ def test_defaults_start_three_nodes_of_the_recommended_configuration(launch_file
     for name, node in nodes.items():
         config, settings = node['parameters']
         assert node['name'] == name
-        assert Path(config) == ROOT / 'config' / 'robust.yaml'
+        assert Path(config) == ROOT / 'config' / 'robust_eso.yaml'
         assert settings == {'loop.peers': PEERS}
 
 
@@ -60,8 +62,17 @@ def test_a_driver_is_hosted_in_the_plant_s_place(launch_file):
         assert node['parameters'][1] == {'loop.peers': PEERS, 'driver.name': 'mock'}
 
 
-@pytest.mark.parametrize('given', [{'duration': 'long'}, {'config': 'none_of_that_name'}])
-def test_mistakes_are_named(launch_file, given):
-    ((key, value),) = given.items()
-    with pytest.raises(RuntimeError, match=f'{key}:={value}: '):
-        started(launch_file, **given)
+@pytest.mark.parametrize(('key', 'value', 'allowed'), [
+    ('duration', 'long', 'must be a number of seconds, at least 0'),
+    ('duration', '-1', 'must be a number of seconds, at least 0'),
+    ('duration', 'inf', 'must be a number of seconds, at least 0'),
+    ('config', 'none_of_that_name', 'no such file; shipped configurations: axis, '),
+    ('namespace', '9th', 'must be a namespace of ROS'),
+    ('namespace', 'a b', 'must be a namespace of ROS'),
+    ('driver', 'none', 'no such driver; known: simulated, mock, '),
+    ('record', str(ROOT), 'exists already'),
+])
+def test_mistakes_are_named(launch_file, key, value, allowed):
+    with pytest.raises(RuntimeError, match=re.escape(f'{key}:={value}: {allowed}')) as caught:
+        started(launch_file, **{key: value})
+    assert '\n' not in str(caught.value)

@@ -1,11 +1,13 @@
+# SPDX-License-Identifier: Apache-2.0
 """launch/ros2_control.launch.py, run with stand-ins for launch; and the controllers it names."""
 
 from pathlib import Path
+import re
 
 import pytest
 import yaml
 
-from dz_ros.files import load_configuration
+from dz_ros.files.configurations import load_configuration
 
 ROOT = Path(__file__).parent.parent
 CONTROLLERS = ROOT / 'launch' / 'joint_controllers.yaml'
@@ -17,22 +19,45 @@ def launch_file(load_launch_file):
     return load_launch_file('ros2_control')
 
 
-def started(launch_file, **given):
-    """Executable → node for these arguments; each of ours ends the launch with it."""
+class Ended:
+    """The end of a process."""
+
+    def __init__(self, returncode):
+        self.returncode = returncode
+
+
+class Context(dict):
+    """Launch's context: arguments, and whether it is shutting down."""
+
+    is_shutdown = False
+
+
+def actions(launch_file, **given):
+    """What the launch file makes of these arguments."""
     defaults = {item.positional[0]: item.named['default_value']
                 for item in launch_file.generate_launch_description().positional[0]
                 if type(item).__name__ == 'DeclareLaunchArgument'}
-    assert set(given) <= set(defaults)
-    actions = launch_file.nodes({**defaults, **given})
-    nodes = [item for item in actions if type(item).__name__ == 'Node']
-    watched = [item.positional[0].named['target_action'] for item in actions if item not in nodes]
-    # A spawner ends when it is done.
-    assert watched == [node for node in nodes if node.named['package'] == 'dz_ros']
+    assert set(given) <= set(defaults) == set(launch_file.ARGUMENTS)
+    return launch_file.nodes(Context({**defaults, **given}))
+
+
+def loop_of(made):
+    """Executable → node of the loop; each of ours ends the launch with it."""
+    nodes = [item for item in made if type(item).__name__ == 'Node']
+    watched = [item.positional[0].named['target_action'] for item in made if item not in nodes]
+    assert watched == nodes
     return {node.named['executable']: node.named for node in nodes}
 
 
+def spawned(made):
+    """Return the spawner's node and what happens when it has ended."""
+    spawner, handler = made
+    assert handler.positional[0].named['target_action'] is spawner
+    return spawner.named, handler.positional[0].named['on_exit']
+
+
 def test_defaults_start_the_loop_alone(launch_file):
-    nodes = started(launch_file)
+    nodes = loop_of(actions(launch_file))
     assert list(nodes) == NODES
     for name, node in nodes.items():
         config, settings = node['parameters']
@@ -42,30 +67,89 @@ def test_defaults_start_the_loop_alone(launch_file):
                             'driver.name': 'joint'}
 
 
-def test_arguments_reach_every_node(launch_file, tmp_path):
+def test_arguments_reach_every_node(launch_file, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     file = tmp_path / 'mine.yaml'
     file.write_text('')
-    nodes = started(launch_file, config=str(file), duration='60', record='relative',
-                    joint='elbow', spawn='joint_state_broadcaster, effort_controller')
-    assert list(nodes) == ['spawner', *NODES, 'recorder_node']
-    spawner = nodes.pop('spawner')
-    assert spawner['package'] == 'controller_manager'
-    assert spawner['arguments'] == ['joint_state_broadcaster', 'effort_controller',
-                                    '--param-file', str(CONTROLLERS)]
+    nodes = loop_of(actions(launch_file, config=str(file), duration='60', record='relative',
+                            joint='1', namespace='left'))
+    assert list(nodes) == [*NODES, 'recorder_node']
     for node in nodes.values():
         config, settings = node['parameters']
-        assert config == str(file)
+        assert (config, node['namespace']) == (str(file), 'left')
         assert settings['loop.duration'] == 60.0
-        assert settings['driver.joint'] == 'elbow'
+        assert settings['driver.joint'] == '1'      # a text, whatever it looks like
         assert settings['loop.peers'][-1] == 'recorder_node'
-    assert nodes['recorder_node']['parameters'][1]['directory'] == str(Path('relative').absolute())
+    assert nodes['recorder_node']['parameters'][1]['directory'] == str(tmp_path / 'relative')
 
 
-@pytest.mark.parametrize('given', [{'duration': 'long'}, {'config': 'none_of_that_name'}])
-def test_mistakes_are_named(launch_file, given):
-    ((key, value),) = given.items()
-    with pytest.raises(RuntimeError, match=f'{key}:={value}: '):
-        started(launch_file, **given)
+SPAWN = 'joint_state_broadcaster, effort_controller'
+
+
+@pytest.mark.parametrize(('given', 'joint', 'interface'), [
+    ({}, 'joint1', 'effort'),
+    ({'joint': 'joint2'}, 'joint2', 'effort'),
+    ({'config': 'mine'}, 'elbow', 'velocity'),
+    ({'config': 'mine', 'joint': 'wrist'}, 'wrist', 'velocity'),
+])
+def test_controllers_are_those_of_the_joint_that_is_driven(
+        launch_file, tmp_path, given, joint, interface):
+    if 'config' in given:
+        mine = tmp_path / 'mine.yaml'
+        mine.write_text('driver: {name: joint, joint: elbow, interface: velocity}\n')
+        given = {**given, 'config': str(mine)}
+    spawner, end = spawned(actions(launch_file, spawn=SPAWN, **given))
+    assert (spawner['package'], spawner['executable']) == ('controller_manager', 'spawner')
+    *names, flag, file = spawner['arguments']
+    assert names == ['joint_state_broadcaster', 'effort_controller']
+    assert flag == '--param-file'
+    shipped = yaml.safe_load(CONTROLLERS.read_text(encoding='utf-8'))
+    expected = {**shipped['effort_controller']['ros__parameters'],
+                'joints': [joint], 'interface_name': interface}
+    found = yaml.safe_load(Path(file).read_text(encoding='utf-8'))
+    assert found['effort_controller']['ros__parameters'] == expected
+    assert found['joint_state_broadcaster'] == shipped['joint_state_broadcaster']
+    # The same joint reaches the driver.
+    settings = loop_of(end(Ended(0), Context()))['actuator_node']['parameters'][1]
+    assert settings.get('driver.joint', joint) == joint
+
+
+def test_a_parameter_file_of_the_user_is_left_alone(launch_file, tmp_path):
+    file = tmp_path / 'controllers.yaml'
+    file.write_text('')
+    spawner, _ = spawned(actions(launch_file, spawn='mine', controllers=str(file)))
+    assert spawner['arguments'] == ['mine', '--param-file', str(file)]
+
+
+def test_a_spawner_that_fails_stops_the_launch(launch_file):
+    _, end = spawned(actions(launch_file, spawn=SPAWN))
+    with pytest.raises(RuntimeError, match='spawn:=joint_state_broadcaster,effort_controller: the '
+                       'spawner has failed with exit code 1; the loop is not started'):
+        end(Ended(1), Context())
+    leaving = Context()
+    leaving.is_shutdown = True          # Ctrl-C ends the spawner, too
+    assert end(Ended(1), leaving) is None
+
+
+@pytest.mark.parametrize(('key', 'value', 'allowed'), [
+    ('duration', 'long', 'must be a number of seconds, at least 0'),
+    ('config', 'none_of_that_name', 'no such file; shipped configurations: '),
+    ('namespace', '-', 'must be a namespace of ROS'),
+    ('spawn', 'effort controller', "'effort controller' is no name of ROS"),
+    ('controllers', '/no/such.yaml', 'no such file'),
+    ('record', str(ROOT), 'exists already'),
+])
+def test_mistakes_are_named(launch_file, key, value, allowed):
+    with pytest.raises(RuntimeError, match=re.escape(f'{key}:={value}: {allowed}')) as caught:
+        actions(launch_file, **{key: value})
+    assert '\n' not in str(caught.value)
+
+
+def test_a_mistake_in_the_configuration_is_named_before_anything_is_spawned(launch_file, tmp_path):
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text('driver: {name: joint, fresh: never}\n')
+    with pytest.raises(RuntimeError, match=r'config:=.*driver\.fresh'):
+        actions(launch_file, spawn=SPAWN, config=str(mine))
 
 
 def test_controllers_and_configuration_agree():

@@ -1,7 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
 """The package as pip, colcon and rosdep see it; what the documents tell users to type."""
 
 import ast
 import importlib
+from importlib import metadata
 from pathlib import Path
 import re
 import runpy
@@ -18,7 +20,7 @@ from dz_ros import version as version_module
 from dz_ros.cli import main as cli
 from dz_ros.core import schema
 from dz_ros.core.configuration import Configuration
-from dz_ros.files import flat_parameters
+from dz_ros.files.configurations import flat_parameters
 from dz_ros.nodes.main import NODES
 
 ROOT = Path(dz_ros.__file__).parents[1]
@@ -26,27 +28,28 @@ CONFIGURATIONS = sorted((ROOT / 'config').glob('*.yaml'))
 DOCUMENTS = [ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / 'docs').glob('*.md'))]
 
 IMPORTED = {
-    'builtin_interfaces': ('ros-rclpy', 'builtin_interfaces'),
-    'diagnostic_msgs': ('ros-common-interfaces', 'diagnostic_msgs'),
-    'lifecycle_msgs': ('ros-rclpy', 'lifecycle_msgs'),
+    'builtin_interfaces': ('ros-jazzy-rclpy', 'builtin_interfaces'),
+    'diagnostic_msgs': ('ros-jazzy-common-interfaces', 'diagnostic_msgs'),
+    'lifecycle_msgs': ('ros-jazzy-rclpy', 'lifecycle_msgs'),
+    'lz4': ('lz4', 'mcap-ros2-support'),
     'matplotlib': ('matplotlib', 'python3-matplotlib'),
     'mcap': ('mcap', 'mcap-ros2-support'),
     'numpy': ('numpy', 'python3-numpy'),
-    'rcl_interfaces': ('ros-rclpy', 'rcl_interfaces'),
-    'rclpy': ('ros-rclpy', 'rclpy'),
-    'rosbags': ('rosbags', 'python3-rosbags-pip'),
-    'rosgraph_msgs': ('ros-rclpy', 'rosgraph_msgs'),
+    'rcl_interfaces': ('ros-jazzy-rclpy', 'rcl_interfaces'),
+    'rclpy': ('ros-jazzy-rclpy', 'rclpy'),
+    'rosgraph_msgs': ('ros-jazzy-rclpy', 'rosgraph_msgs'),
     'scipy': ('scipy', 'python3-scipy'),
-    'sensor_msgs': ('ros-common-interfaces', 'sensor_msgs'),
-    'std_msgs': ('ros-common-interfaces', 'std_msgs'),
-    'std_srvs': ('ros-common-interfaces', 'std_srvs'),
+    'sensor_msgs': ('ros-jazzy-common-interfaces', 'sensor_msgs'),
+    'std_msgs': ('ros-jazzy-common-interfaces', 'std_msgs'),
+    'std_srvs': ('ros-jazzy-common-interfaces', 'std_srvs'),
     'yaml': ('pyyaml', 'python3-yaml'),
     'zstandard': ('zstandard', 'mcap-ros2-support'),
 }
 """Module → distribution that brings it by pip, key that brings it by rosdep."""
-OPTIONAL = {'numba': 'numba', 'dask': 'cluster', 'distributed': 'cluster', 'pyarrow': 'parquet',
+OPTIONAL = {'argcomplete': 'completion', 'control': 'control', 'pandas': 'pandas',
+            'numba': 'numba', 'dask': 'cluster', 'distributed': 'cluster', 'pyarrow': 'parquet',
             'can': 'cia402', 'canopen': 'cia402', 'serial': 'serial', 'aiohttp': 'live',
-            'foxglove': 'foxglove'}
+            'foxglove': 'foxglove', 'flint': 'certify'}
 """Module → extra that brings it; nothing needs them."""
 
 pytestmark = pytest.mark.skipif(not (ROOT / 'package.xml').is_file(),
@@ -144,8 +147,16 @@ def test_what_the_code_imports_is_declared_for_pip_and_for_rosdep(manifest, desc
             assert module in keys
 
 
-def test_wheels_of_ros_are_pinned(described):
-    assert all('==' in text for text in described['extras_require']['ros'])
+def test_wheels_of_ros_name_their_distribution_which_pins_them(described):
+    wanted = [re.split(r'[\[<>=]', text)[0] for text in described['extras_require']['ros']]
+    assert all(name.startswith('ros-jazzy-') for name in wanted)
+    for name in wanted:
+        try:
+            needs = metadata.requires(name) or []
+        except metadata.PackageNotFoundError:   # an installed ROS, or wheels by older names
+            continue
+        plain = name.replace('-jazzy', '')
+        assert f'{plain}=={metadata.version(plain)}' in needs
 
 
 def test_entry_points_lead_to_functions(described):
@@ -180,6 +191,21 @@ def test_every_configuration_is_accepted_as_it_is_by_dz_and_by_ros(path):
     flat = flat_parameters(path)
     configuration = Configuration.from_flat(flat)
     assert configuration.set_aside == ()
+    shared = {key: value for key, value in flat.items() if not key.startswith('axes.')}
+    for name in configuration.axis_names:
+        prefix = f'axes.{name}.'
+        own = {key.removeprefix(prefix): value for key, value in flat.items()
+               if key.startswith(prefix)}
+        axis = configuration.axis(name)
+        check_accepted(axis, {key: value for key, value in {**shared, **own}.items()
+                              if key not in ('loop.axes', 'loop.seed', *axis.set_aside)})
+    if not configuration.axis_names:
+        check_accepted(configuration, shared)
+    assert path.read_text(encoding='utf-8').startswith('# ')
+
+
+def check_accepted(configuration, flat):
+    """Check that a configuration has the values of its file, of the types that rcl reads."""
     found = configuration.to_flat()
     for key, value in flat.items():
         assert found[key] == value, key
@@ -187,7 +213,6 @@ def test_every_configuration_is_accepted_as_it_is_by_dz_and_by_ros(path):
         assert type(value) is type(found[key]), f'{key}: {value}'
         if isinstance(value, list):
             assert [type(item) for item in value] == [type(item) for item in found[key]], key
-    assert path.read_text(encoding='utf-8').startswith('# ')
 
 
 def leaves(text):
@@ -206,6 +231,11 @@ def test_every_value_says_what_it_is(path):
     assert silent == []
 
 
+NOT_OF_THE_PAPER = {'edge_slope', 'edge_span', 'play', 'schedule_points', 'm_r_table',
+                    'm_l_table', 'b_r_table', 'b_l_table'}
+"""What a dead-zone may have besides, off by default."""
+
+
 def test_the_paper_s_configuration_leaves_nothing_to_defaults():
     flat = flat_parameters(ROOT / 'config' / 'wang2004.yaml')
     configuration = Configuration.from_flat(flat)
@@ -214,7 +244,7 @@ def test_the_paper_s_configuration_leaves_nothing_to_defaults():
               'plant.dead_zone': configuration.dead_zone}
     for prefix, group in groups.items():
         for item in schema.fields(type(group)):
-            assert f'{prefix}.{item.name}' in flat
+            assert f'{prefix}.{item.name}' in flat or item.name in NOT_OF_THE_PAPER
 
 
 def commands():
@@ -230,7 +260,7 @@ def commands():
 
 
 def test_commands_in_documents_exist(described):
-    targets = set(re.findall(r'^([a-z]+):', (ROOT / 'Makefile').read_text(encoding='utf-8'),
+    targets = set(re.findall(r'^([a-z-]+):', (ROOT / 'Makefile').read_text(encoding='utf-8'),
                              re.MULTILINE))
     scripts = {text.split(' = ')[0] for text in described['entry_points']['console_scripts']}
     seen = set()
@@ -260,7 +290,10 @@ def test_commands_in_documents_exist(described):
 
 def check_dz(words, place):
     """Parse a command line of `dz` without running it, and read its configuration."""
-    arguments = cli._parser(words).parse_args(words)
-    if hasattr(arguments, 'config'):
+    arguments = cli.parser_of(words).parse_args(words)
+    if not words:       # prints the help
+        return
+    made = str(getattr(arguments, 'config', None) or '').endswith('identified.yaml')
+    if hasattr(arguments, 'config') and not made:     # by an earlier command of the document
         Configuration.from_flat(flat_parameters(arguments.config, arguments.overrides))
     assert callable(arguments.do), place

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The worked examples of docs/replay.md say what the commands print."""
 
 from pathlib import Path
@@ -36,6 +37,7 @@ def test_there_are_examples():
     assert sum(block.count('$ dz ') for block in blocks()) >= 7
 
 
+@pytest.mark.slow
 def test_examples_print_what_the_document_says(tmp_path, monkeypatch, capsys):
     pytest.importorskip('matplotlib')
     monkeypatch.chdir(tmp_path)

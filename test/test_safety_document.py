@@ -1,10 +1,11 @@
+# SPDX-License-Identifier: Apache-2.0
 """docs/safety.md says what the code does: tables of states, parameters and their defaults."""
 
 from pathlib import Path
 import re
 
+from dz_ros.core.safety.modes import LIFECYCLE, MODES
 from dz_ros.core.safety.settings import SafetySettings
-from dz_ros.core.safety.table import LIFE, MODES
 from dz_ros.core.schema import fields
 
 TEXT = (Path(__file__).parents[1] / 'docs' / 'safety.md').read_text(encoding='utf-8')
@@ -24,9 +25,9 @@ def test_the_table_of_modes_is_the_codes():
 
 
 def test_the_table_of_life_is_the_codes():
-    assert table('life table') == [
+    assert table('lifecycle table') == [
         (life.value, name, following.value, event.value if event else '-')
-        for (life, name), (following, event) in LIFE.items()]
+        for (life, name), (following, event) in LIFECYCLE.items()]
 
 
 def test_every_parameter_is_listed_with_default_and_unit():

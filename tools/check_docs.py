@@ -1,9 +1,15 @@
+# SPDX-License-Identifier: Apache-2.0
 """Check the documents: links lead somewhere, citations resolve, the map of folders is true.
 
 - Every relative link and picture in a Markdown file exists, and so does the heading after ``#``.
 - Every citation ``[nameYEAR]`` in code, configuration and documents has one entry in
   docs/references.md, and every entry there is cited.
-- The map of folders in README.md names every folder of the project and of dz_ros, and no other.
+- Every ``mathematics.md §n`` in code and documents is a heading of docs/mathematics.md.
+- The tables of signals in docs/notation.md are what tools/signal_tables.py writes.
+- docs/index.md lists every document in docs/.
+- No retired word of docs/terms.md is used (tools/retired_words.py).
+- The tables of folders in docs/architecture.md name every folder of the project and of dz_ros, and
+  no other.
 """
 
 from collections import Counter
@@ -12,24 +18,35 @@ import re
 import subprocess
 import sys
 
+import retired_words
+
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCES = 'docs/references.md'
+INDEX, MATHEMATICS, NOTATION = 'docs/index.md', 'docs/mathematics.md', 'docs/notation.md'
 LINK = re.compile(r'!?\[[^\]]*\]\(([^)\s]+)\)')
 CITATION = re.compile(r'\[([a-z_]+[0-9]{4}[a-z]?(?:; ?[a-z_]+[0-9]{4}[a-z]?)*)\](?!\()')
 ENTRY = re.compile(r'^@\w+\{(\w+),', re.MULTILINE)
-MAP_LINE = re.compile(r'^( *)([\w.-]+)/ ', re.MULTILINE)
+MAP, INSIDE, BESIDE = 'docs/architecture.md', 'Folders of `dz_ros/`:', 'Beside `dz_ros/`:'
+MAP_LINE = re.compile(r'^\| `([\w.-]+)/` \|', re.MULTILINE)
+SECTION = re.compile(r'§\d+')
 CITING = ('.py', '.md', '.yaml', '.cff')
 
 
 def main() -> int:
     """Print every fault; return 1 if there is one."""
     files = tracked_files()
-    faults = [*links(files), *citations(files), *folders(files)]
+    words, waiting = retired_words.faults(ROOT, files)
+    faults = [*links(files), *index(files), *citations(files), *folders(files), *sections(files),
+              *signals(files), *words]
     for fault in faults:
         print(f'docs: {fault}', file=sys.stderr)
     if not faults:
         count = sum(path.suffix == '.md' for path in files)
-        print(f'docs: links, citations and map of folders of {count} documents in order')
+        print(f'docs: links, citations, words, sections, tables and map of {count} documents in '
+              'order')
+    for folder, count in waiting.items():
+        if count:
+            print(f'docs: note: {folder}: {count} retired words')
     return 1 if faults else 0
 
 
@@ -62,6 +79,15 @@ def links(files: list[Path]) -> list[str]:
     return faults
 
 
+def index(files: list[Path]) -> list[str]:
+    """Return the documents that the index lacks."""
+    text = (ROOT / INDEX).read_text(encoding='utf-8')
+    listed = {match[1] for match in re.finditer(r'^([\w/]+)$', text, re.MULTILINE)}
+    names = [path.relative_to('docs').with_suffix('').as_posix() for path in files
+             if path.parts[0] == 'docs' and path.suffix == '.md']
+    return [f'{INDEX}: lacks {name}' for name in names if name not in listed | {'index'}]
+
+
 def without_code(text: str) -> str:
     """Return the text without code blocks and quoted code."""
     return re.sub(r'`[^`\n]*`', '', re.sub(r'^```.*?^```', '', text, flags=re.M | re.S))
@@ -88,27 +114,55 @@ def citations(files: list[Path]) -> list[str]:
                     cited.add(key)
                     if key not in entries:
                         faults.append(f'{path}:{number}: [{key}] is not in {REFERENCES}')
-    return faults + [f'{REFERENCES}: nobody cites {key}' for key in sorted(set(entries) - cited)]
+    return faults + [f'{REFERENCES}: nothing cites {key}' for key in sorted(set(entries) - cited)]
+
+
+def sections(files: list[Path]) -> list[str]:
+    """Return the sections of docs/mathematics.md that are mentioned and not there."""
+    text = (ROOT / MATHEMATICS).read_text(encoding='utf-8') if Path(MATHEMATICS) in files else ''
+    headings = set(re.findall(r'^## (\d+)\.', text, re.MULTILINE))
+    faults = []
+    for path in files:
+        if path.suffix not in CITING or path.name == 'check_docs.py':
+            continue
+        text = (ROOT / path).read_text(encoding='utf-8')
+        for found in SECTION.finditer(text):
+            for number in re.findall(r'§(\d+)', found[0]):
+                if number not in headings:
+                    line = text.count('\n', 0, found.start()) + 1
+                    faults.append(f'{path}:{line}: {MATHEMATICS} has no section {number}')
+    return faults
+
+
+def signals(files: list[Path]) -> list[str]:
+    """Return whether the tables of signals are old."""
+    if Path(NOTATION) not in files:
+        return []
+    sys.path.insert(0, str(Path(__file__).resolve().parent))
+    from signal_tables import written
+    text = (ROOT / NOTATION).read_text(encoding='utf-8')
+    return [] if written(text) == text else [
+        f'{NOTATION}: old tables of signals: python tools/signal_tables.py']
 
 
 def folders(files: list[Path]) -> list[str]:
-    """Return what the map of folders in the README lacks or invents."""
-    text = (ROOT / 'README.md').read_text(encoding='utf-8')
-    blocks = [block for block in re.findall(r'^```\w*\n(.*?)^```', text, re.M | re.S)
-              if re.search(r'^dz_ros/ ', block, re.M)]
-    if len(blocks) != 1:
-        return ['README.md: there must be one map of folders, a code block with a line dz_ros/']
-    shown = set()
-    for indent, name in MAP_LINE.findall(blocks[0]):
-        shown.add(f'dz_ros/{name}' if indent else name)
+    """Return what the tables of folders lack or invent."""
+    if Path(MAP) not in files:
+        return [f'{MAP}: is missing, which has the tables of folders']
+    text = (ROOT / MAP).read_text(encoding='utf-8')
+    inside, found, beside = text.partition(INSIDE)[2].partition(BESIDE)
+    if not found:
+        return [f'{MAP}: there must be two tables of folders, after {INSIDE!r} and {BESIDE!r}']
+    shown = {f'dz_ros/{name}' for name in MAP_LINE.findall(inside)}
+    shown |= {'dz_ros', *MAP_LINE.findall(beside)}
     real = set()
     for path in files:
         if len(path.parts) > 1:
             real.add(path.parts[0])
         if len(path.parts) > 2 and path.parts[0] == 'dz_ros':
             real.add(f'dz_ros/{path.parts[1]}')
-    return ([f'README.md: the map of folders lacks {name}/' for name in sorted(real - shown)]
-            + [f'README.md: the map names {name}/, which is not there'
+    return ([f'{MAP}: lacks the folder {name}/' for name in sorted(real - shown)]
+            + [f'{MAP}: the folder {name}/ is not there'
                for name in sorted(shown - real)])
 
 

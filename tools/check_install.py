@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Install a copy of the source tree with pip into a new environment and try the commands there.
 
 Without ROS: what needs rclpy must say so in one line, everything else must work.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Make the virtual environment of the Makefile, or bring it up to date; nothing to do is quick.
 
     python3 tools/environment.py VENV EXTRA…
@@ -65,6 +66,9 @@ def main(arguments):
         command.append('numpy==' + numpy.__version__)
     if subprocess.call(command, cwd=str(ROOT)) != 0:
         return complain('pip could not install the packages named in setup.py (see above)')
+    # A tree installed as it stands has no byte code, and PYTHONDONTWRITEBYTECODE, which images of
+    # containers set, would have it compiled again at every start.
+    subprocess.call([str(python), '-m', 'compileall', '-q', 'dz_ros'], cwd=str(ROOT))
     stamp.write_text('{}\n{}\n{}\n'.format(wanted['base'], wanted['sources'], ' '.join(extras)),
                      encoding='utf-8')
     return 0

@@ -1,10 +1,12 @@
+# SPDX-License-Identifier: Apache-2.0
 """Write the layouts for Foxglove, Lichtblick and PlotJuggler from the labels of the messages.
 
-    python tools/make_layouts.py [CONFIG] [--out DIR] [--namespace NS]
+    python tools/make_layouts.py [CONFIG] [--out DIR] [--namespace NS] [--axis NAME]
 
 What is in config/layouts/ is for `robust` on a plant of order 2; another order, law or namespace
 needs its own. A topic's numbers are an array in these tools; a layout names each: as the label
-of a series in Foxglove and Lichtblick, as a curve of its own in PlotJuggler.
+of a series in Foxglove and Lichtblick, as a curve of its own in PlotJuggler. Of a loop of several
+axes a layout is of one, --axis, whose row of the arrays it takes.
 """
 
 from __future__ import annotations
@@ -20,42 +22,65 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from dz_ros.core.configuration import Configuration  # noqa: E402
-from dz_ros.files import load_configuration  # noqa: E402
-from dz_ros.live.stated import labels_of  # noqa: E402
+from dz_ros.core.signals import Role, Signal, TERMS, Units  # noqa: E402
+from dz_ros.files.configurations import load_configuration  # noqa: E402
+from dz_ros.live.columns import shown  # noqa: E402
+from dz_ros.live.node_configurations import fields_of  # noqa: E402
 
 COLOURS = ('#0072b2', '#d55e00', '#009e73', '#e69f00', '#cc79a7', '#56b4e9', '#8c8c8c')
 Names = dict[str, tuple[str, int]]
 """Field → its topic and place."""
 
 
-def names_of(c: Configuration) -> Names:
-    """Return every field of the messages that is worth a curve, by its label."""
+def names_of(c: Configuration, row: int = 0) -> Names:
+    """Return every field of the messages that is worth a curve, by its label.
+
+    Args:
+        c: Configuration of the axis.
+        row: Which row of the messages is the axis'.
+    """
     found: Names = {}
-    for topic, labels in labels_of(c).items():
-        for place, name in enumerate(labels):
-            if name not in ('seq', 'stamp', 'echo_seq', 'echo_stamp', 'reference_seq') \
-                    and not name.endswith('_before'):
-                found.setdefault(name, (topic, place))
+    for topic, fields in fields_of(c).items():
+        chosen = shown(fields)
+        for place, item in enumerate(fields, row * len(fields)):
+            if item in chosen:
+                found.setdefault(item.name, (topic, place))
     return found
 
 
-def plots(names: Names) -> list[tuple[str, list[str]]]:
-    """Return title and fields of each plot, those of the live page."""
-    estimates = [name for name in names if name.startswith('theta') or name == 'phi']
-    wanted = [('Output and reference', ['xd0', 'x0']), ('Command v, behind the dead-zone w',
-                                                        ['v', 'w']),
-              ('Filtered error s, layer epsilon', ['s', 's_eps', 'epsilon']),
-              ('Parts of v', ['v_damping', 'v_feed_forward', 'v_regressor', 'v_robust',
-                              'v_extra']),
-              ('Estimates', estimates), ('Round trip, hold [s]', ['round_trip', 'hold'])]
+def plots(c: Configuration, names: Names) -> list[tuple[str, list[str]]]:
+    """Return title and fields of each plot: those of the live page, then the law's other signals.
+
+    Signals of different units do not share a plot.
+    """
+    units = Units.of(c.plant)
+    signals = [item for item in (*TERMS, *c.law.signals) if item.name in names]
+
+    def titled(title: str, chosen: list[Signal]) -> list[tuple[str, list[str]]]:
+        found: dict[str, list[str]] = {}
+        for item in chosen:
+            found.setdefault(units.resolve(item.unit), []).append(item.name)
+        return [(title + (f' [{unit}]' if unit not in ('', '1') else ''), fields)
+                for unit, fields in found.items()]
+
+    layer = ['s', 's_eps', 'epsilon']
+    wanted = [('Output and reference', ['xd0', 'x0']),
+              ('Command v, behind the dead-zone w', ['v', 'w']),
+              ('Filtered error s, layer epsilon', layer),
+              *titled('Parts of v', [item for item in signals if item.role is Role.TERM]),
+              *titled('Estimates', [item for item in signals if item.role is Role.ESTIMATE]),
+              ('Round trip, hold [s]', ['round_trip', 'hold']),
+              *titled('Signals of the law', [
+                  item for item in c.law.signals if item.name in names
+                  and item.role is not Role.ESTIMATE and item.name not in layer])]
     there = [(title, [name for name in fields if name in names]) for title, fields in wanted]
     return [item for item in there if item[1]]
 
 
-def foxglove(names: Names, place: str) -> dict[str, Any]:
+def foxglove(c: Configuration, names: Names, place: str) -> dict[str, Any]:
     """Return a layout for Foxglove and Lichtblick: live by foxglove-sdk or a bridge, and MCAP."""
     panels: dict[str, Any] = {}
-    for number, (title, fields) in enumerate(plots(names)):
+    for number, (title, fields) in enumerate(plots(c, names)):
         panels[f'Plot!dz{number}'] = {
             'title': title, 'isSynced': True, 'showLegend': True, 'legendDisplay': 'floating',
             'showPlotValuesInLegend': True, 'showXAxisLabels': True, 'showYAxisLabels': True,
@@ -81,7 +106,7 @@ def _mosaic(panels: list[str], direction: str) -> Any:
             'splitPercentage': round(100.0 * half / len(panels), 1)}
 
 
-def plotjuggler(names: Names, place: str, live: bool) -> bytes:
+def plotjuggler(c: Configuration, names: Names, place: str, live: bool) -> bytes:
     """Return a layout for PlotJuggler: of live ROS topics, or of an MCAP file."""
     def under(parent: ET.Element, tag: str, text: str = '', /,
               **attributes: str) -> ET.Element:
@@ -92,7 +117,7 @@ def plotjuggler(names: Names, place: str, live: bool) -> bytes:
     root = ET.Element('root')
     window = under(root, 'tabbed_widget', name='Main Window', parent='main_window')
     container = under(under(window, 'Tab', tab_name='dz_ros', containers='1'), 'Container')
-    shown = [('Error', ['error']), *plots(names)]
+    shown = [('Error', ['error']), *plots(c, names)]
     columns = under(container, 'DockSplitter', orientation='|', count='2', sizes='0.5;0.5')
     for part in (shown[::2], shown[1::2]):
         rows = under(columns, 'DockSplitter', orientation='-', count=str(len(part)),
@@ -107,18 +132,19 @@ def plotjuggler(names: Names, place: str, live: bool) -> bytes:
     under(window, 'currentTabIndex', index='0')
     under(root, 'use_relative_time_offset', enabled='1')
     plugins = under(root, 'Plugins')
+    longest = str(max(100, *(at + 1 for _, at in names.values())))
     topics = [f'{place}/{topic}' for topic in dict.fromkeys(topic for topic, _ in names.values())]
     if live:
         plugin = under(plugins, 'plugin', ID='ROS2 Topic Subscriber')
         under(plugin, 'use_header_stamp', value='false')
         under(plugin, 'discard_large_arrays', value='true')
-        under(plugin, 'max_array_size', value='100')
+        under(plugin, 'max_array_size', value=longest)
         chosen = under(plugin, 'selected_topics')
         for topic in topics:
             under(chosen, 'topic', name=topic)
         under(root, 'previouslyLoaded_Streamer', name='ROS2 Topic Subscriber')
     else:
-        under(under(plugins, 'plugin', ID='DataLoad MCAP'), 'parameters', max_array_size='100',
+        under(under(plugins, 'plugin', ID='DataLoad MCAP'), 'parameters', max_array_size=longest,
               use_timestamp='0', clamp_large_arrays='0', selected_topics=';'.join(topics))
     equations = under(root, 'customMathEquations')
     curves = {name: ('return value', [name]) for name in names}
@@ -137,25 +163,35 @@ def plotjuggler(names: Names, place: str, live: bool) -> bytes:
     return ET.tostring(root, encoding='UTF-8', xml_declaration=True) + b'\n'
 
 
-def layouts(c: Configuration, namespace: str = '') -> dict[str, bytes]:
-    """Return file name → contents."""
-    names, place = names_of(c), f'/{namespace.strip("/")}' if namespace.strip('/') else ''
-    text = json.dumps(foxglove(names, place), indent=1, ensure_ascii=False) + '\n'
+def layouts(c: Configuration, namespace: str = '', axis: str = '') -> dict[str, bytes]:
+    """Return file name → contents, of one axis where there are several.
+
+    Raises:
+        ConfigurationError: There is no such axis, or none is chosen of several.
+    """
+    row = 0
+    if axis or len(c.axes) > 1:
+        machine, c = c, c.axis(axis)
+        row = machine.axis_names.index(axis)
+    names, place = names_of(c, row), f'/{namespace.strip("/")}' if namespace.strip('/') else ''
+    text = json.dumps(foxglove(c, names, place), indent=1, ensure_ascii=False) + '\n'
     return {'foxglove.json': text.encode(),
-            'plotjuggler_ros2.xml': plotjuggler(names, place, True),
-            'plotjuggler_mcap.xml': plotjuggler(names, place, False)}
+            'plotjuggler_ros2.xml': plotjuggler(c, names, place, True),
+            'plotjuggler_mcap.xml': plotjuggler(c, names, place, False)}
 
 
 def main() -> int:
     """Write the files."""
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
-    parser.add_argument('config', nargs='?', default='robust', help='configuration, as of dz run')
+    parser.add_argument('config', nargs='?', default='robust',
+                        help='configuration, as of dz run')
     parser.add_argument('--out', type=Path, default=ROOT / 'config' / 'layouts')
     parser.add_argument('--namespace', default='', help='of the loop')
+    parser.add_argument('--axis', default='', help='axis, of a loop of several')
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     for name, contents in layouts(load_configuration(arguments.config),
-                                  arguments.namespace).items():
+                                  arguments.namespace, arguments.axis).items():
         (arguments.out / name).write_bytes(contents)
         print(arguments.out / name)
     return 0

@@ -1,8 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
 """The faults: what is injected, what must happen."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 import math
 import os
@@ -16,8 +18,11 @@ import tempfile
 import time
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
+from fault_kit import drive
 from fault_kit.loop import Loop, ROOT
-from std_msgs.msg import Bool
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64MultiArray
 
 from dz_ros.core.records import Command, State
 from dz_ros.recording.reader import read_run
@@ -46,6 +51,12 @@ class Case:
         tracks: Whether |x̃| must stay within the guaranteed bound meanwhile.
         two_hosts: Whether the halves run in network namespaces of their own.
         clock: Whether the nodes see a wall clock of their own.
+        device: Fault of an emulated device on a serial line, which is then the actuator, as
+            NAME, DURATION[=VALUE]; None = the simulated plant.
+        drive: Whether the actuator is a simulated drive on a CAN bus.
+        joint: Whether the actuator is a joint of ros2_control.
+        coasts: Whether it may move far before it rests: nothing takes commands meanwhile, or
+            nothing shows where it is.
     """
 
     name: str
@@ -57,6 +68,10 @@ class Case:
     tracks: bool = False
     two_hosts: bool = False
     clock: bool = False
+    device: tuple[str, str] | None = None
+    drive: bool = False
+    joint: bool = False
+    coasts: bool = False
 
 
 def kill(name: str) -> Callable[[Loop], None]:
@@ -114,11 +129,54 @@ def two_controllers(loop: Loop) -> None:
 def press(loop: Loop) -> None:
     """Press the e-stop at full speed, release it a second later."""
     loop.until(lambda: abs(loop.heard['state'][-1][1][3]) > 1.8, 10.0)
-    loop.pressed = time.monotonic()     # type: ignore[attr-defined]
+    loop.pressed = time.monotonic()
     loop.estop.publish(Bool(data=True))
     time.sleep(1.0)
     loop.estop.publish(Bool(data=False))
     time.sleep(0.2)
+
+
+def touch(kind: str, beside: str = '') -> Callable[[Loop], None]:
+    """Press the e-stop at full speed and release it at once, by a publisher of a kind.
+
+    Args:
+        kind: Of `fault_kit.presses.QOS`.
+        beside: Node that is frozen for half a second around it; 'flood' = 5000 releases/s.
+    """
+    def inject(loop: Loop) -> None:
+        from fault_kit.presses import FLOOD, QOS
+        button = loop.node.create_publisher(Bool, 'estop', QOS[kind])
+        loop.until(lambda: button.get_subscription_count() >= 2)
+        if beside == 'flood':
+            loop.run_beside('flood', [sys.executable, '-c', FLOOD])
+            loop.until(lambda: loop.node.count_publishers('estop') > 4)
+            time.sleep(1.0)
+        loop.until(lambda: abs(loop.heard['state'][-1][1][3]) > 1.8, 10.0)
+        if beside in loop.processes and beside != 'flood':
+            os.kill(loop.processes[beside].pid, signal.SIGSTOP)
+            time.sleep(0.25)
+        loop.pressed = time.monotonic()
+        button.publish(Bool(data=True))
+        button.publish(Bool(data=False))
+        if beside in loop.processes and beside != 'flood':
+            time.sleep(0.25)
+            os.kill(loop.processes[beside].pid, signal.SIGCONT)
+        time.sleep(1.0)
+        if beside == 'flood':
+            loop.processes['flood'].kill()
+            loop.processes['flood'].wait()
+            del loop.processes['flood']
+    return inject
+
+
+def press_and_end(loop: Loop) -> None:
+    """Press the e-stop at full speed by a process that ends at once and never releases it."""
+    from fault_kit.presses import ONCE
+    loop.until(lambda: abs(loop.heard['state'][-1][1][3]) > 1.8, 10.0)
+    done = subprocess.run([sys.executable, '-c', ONCE], cwd=ROOT, check=True, timeout=30.0,
+                          stdout=subprocess.PIPE, text=True)
+    loop.pressed = float(done.stdout)
+    time.sleep(1.0)
 
 
 def busy(_loop: Loop) -> None:
@@ -131,22 +189,132 @@ def busy(_loop: Loop) -> None:
         item.wait()
 
 
-def full_disk(loop: Loop) -> None:
-    """Let the recorder's file reach the largest size it may have, then read what is there."""
+@contextmanager
+def recorder(loop: Loop, limit: int = resource.RLIM_INFINITY
+             ) -> Iterator[tuple[subprocess.Popen[bytes], Path, Callable[[str], float]]]:
+    """Start a recorder; yield it, its directory, and what waits for an error in its diagnostics.
+
+    The function returns how long that took [s]. At the end the recorder must still be there and
+    end by SIGINT.
+
+    Args:
+        loop: The loop.
+        limit: Largest size of a file, as of a disk that is full then [bytes].
+    """
     folder = Path(tempfile.mkdtemp(prefix='dz_ros-fault-'))
+    said: list[str] = []
+
+    def hear(message: DiagnosticArray) -> None:
+        said.extend(item.message for item in message.status if item.level == item.ERROR
+                    and item.name.endswith('recorder_node'))
+
+    def wait_for(part: str) -> float:
+        began = time.monotonic()
+        if not loop.until(lambda: any(part in item for item in said)):
+            raise AssertionError(f'no error {part!r} in the diagnostics of the recorder: {said}')
+        return time.monotonic() - began
+
+    subscription = loop.node.create_subscription(DiagnosticArray, '/diagnostics', hear, 100)
     try:
-        recorder = loop.start(
+        process = loop.start(
             'recorder_node', '-p', f'directory:={folder / "run"}',
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000)))
-        loop.until(lambda: recorder.poll() is not None)
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE,
+                                                  (limit, resource.RLIM_INFINITY)))
+        loop.until(lambda: any((folder / 'run').glob('*.mcap')))
+        loop.pass_time(2.0)
+        yield process, folder / 'run', wait_for
+        process.send_signal(signal.SIGINT)
+        process.wait(30.0)
         del loop.processes['recorder_node']
-        found = subprocess.run([sys.executable, '-m', 'dz_ros', 'bag', 'recover',
-                                str(folder / 'run'), str(folder / 'whole')], cwd=ROOT,
-                               capture_output=True, text=True, check=False)
-        if recorder.returncode != 2 or found.returncode:
-            raise AssertionError(f'recorder {recorder.returncode}, recover: {found.stderr}')
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        loop.node.destroy_subscription(subscription)
+
+
+def whole(run: Path) -> None:
+    """Check that a recording was closed and that no state is missing in it; remove it.
+
+    Raises:
+        AssertionError: It was not, or one is.
+    """
+    data = read_run(run)
+    seq = data.channels['state']['seq']
+    shutil.rmtree(run.parent)
+    if 'cut' in data.info or len(seq) != seq[-1] - seq[0] + 1.0:
+        raise AssertionError(f'{len(seq)} states of {seq[0]:g} to {seq[-1]:g}; {data.info}')
+
+
+def full_disk(loop: Loop) -> None:
+    """Let the recorder's file reach the largest size it may have, then read what is there.
+
+    Raises:
+        AssertionError: The recorder ended by itself, or what it held cannot be recovered.
+    """
+    with recorder(loop, 200_000) as (process, run, wait_for):
+        wait_for('cannot be written')
+        loop.pass_time(3.0)
+        ended = process.poll()
+    kept = recover(run, run.with_name('whole')).messages
+    shutil.rmtree(run.parent)
+    if ended is not None or process.returncode != 2 or not kept:
+        raise AssertionError(f'recorder {ended}, {process.returncode}; recovered {kept}')
+    loop.noted = f'{kept} messages recovered'
+
+
+def freed_disk(loop: Loop) -> None:
+    """Let the disk be full for five seconds; nothing may be missing then.
+
+    Raises:
+        AssertionError: Something is, or the recorder reports an error at the end.
+    """
+    with recorder(loop, 200_000) as (process, run, wait_for):
+        wait_for('cannot be written')
+        loop.pass_time(5.0)
+        resource.prlimit(process.pid, resource.RLIMIT_FSIZE,
+                         (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
+        loop.pass_time(2.0)
+    whole(run)
+    if process.returncode:
+        raise AssertionError(f'recorder: exit code {process.returncode}')
+    loop.noted = 'nothing lost'
+
+
+def removed_run(loop: Loop) -> None:
+    """Remove the run under the recorder.
+
+    Raises:
+        AssertionError: It was not noticed within a second, or the recorder ended.
+    """
+    with recorder(loop) as (process, run, wait_for):
+        shutil.rmtree(run)
+        after = wait_for('was removed')
+        loop.pass_time(2.0)
+        ended = process.poll()
+    shutil.rmtree(run.parent)
+    if ended is not None or process.returncode != 2 or after > 1.0:
+        raise AssertionError(f'recorder {ended}, {process.returncode}; noticed after {after:g} s')
+    loop.noted = f'reported after {after:.2f} s'
+
+
+def moved_run(loop: Loop) -> None:
+    """Rename the run's directory under the recorder; nothing may be missing in it."""
+    with recorder(loop) as (_, run, _wait):
+        moved = run.rename(run.with_name('moved'))
+        loop.pass_time(3.0)
+    whole(moved)
+    loop.noted = 'nothing lost'
+
+
+def stopped_recorder(loop: Loop) -> None:
+    """Stop the recorder's process for five seconds."""
+    with recorder(loop) as (process, run, _):
+        process.send_signal(signal.SIGSTOP)
+        loop.pass_time(5.0)
+        process.send_signal(signal.SIGCONT)
+        loop.pass_time(2.0)
+    states = read_run(run).channels['state']['seq']
+    missing = int(states[-1] - states[0] + 1 - len(states))
+    shutil.rmtree(run.parent)
+    loop.noted = f'{missing} states missing in the recording'
 
 
 def kill_recorder(loop: Loop) -> None:
@@ -225,6 +393,66 @@ def bad_network(loop: Loop) -> None:
     relay.send_signal(signal.SIGUSR2)
 
 
+def device_fault(loop: Loop) -> None:
+    """Wait for the fault of the serial device to begin and end; it must not run meanwhile."""
+    def said() -> list[str]:
+        return loop.device.read_text().splitlines()
+
+    def place(words: str) -> int:
+        return next((at for at, line in enumerate(said()) if words in line), -1)
+
+    loop.until(lambda: place(' begins at') >= 0, 120.0)
+    began, start = time.monotonic(), place(' begins at')
+    while time.monotonic() < began + 5.0:
+        if any(line.startswith('mode ') for line in said()[start:]):
+            loop.device_safe = time.monotonic() - began
+            break
+        time.sleep(0.002)
+    loop.until(lambda: place(' ends') >= 0, 30.0)
+    loop.until(lambda: loop.mode(loop.nodes[0]) == 'fault', 5.0)
+    time.sleep(2.0)
+    if 'mode run' in said()[start:]:
+        loop.wrong.append('the device ran again without a reset')
+
+
+def joint(word: str, back: str, seconds: float) -> Callable[[Loop], None]:
+    """Have the joint or its controllers do something at speed, and stop it after a while."""
+    def inject(loop: Loop) -> None:
+        loop.until(lambda: abs(loop.heard['state'][-1][1][3]) > 1.0, 10.0)
+        loop.began = time.monotonic()
+        loop.do(word)
+        time.sleep(seconds)
+        loop.do(back)
+        time.sleep(0.5)
+    return inject
+
+
+def another_joint_state_publisher(loop: Loop) -> None:
+    """Have a second publisher say that the joint is at 0."""
+    publisher = loop.node.create_publisher(JointState, '/joint_states', 10)
+    loop.began = time.monotonic()
+    end = loop.began + 3.0
+    while time.monotonic() < end:
+        message = JointState(name=['joint1'], position=[0.0])
+        message.header.stamp = loop.node.get_clock().now().to_msg()
+        publisher.publish(message)
+        time.sleep(0.1)
+    loop.node.destroy_publisher(publisher)
+    time.sleep(loop.configuration.driver_parameters.patience + 1.0)
+
+
+def two_numbers(loop: Loop) -> None:
+    """Command the controller of one joint with an array of two; activate it again."""
+    publisher = loop.node.create_publisher(Float64MultiArray, '/effort_controller/commands', 10)
+    loop.until(lambda: publisher.get_subscription_count() > 0, 5.0)
+    loop.began = time.monotonic()
+    publisher.publish(Float64MultiArray(data=[1.0, 1.0]))
+    time.sleep(1.0)
+    loop.node.destroy_publisher(publisher)
+    loop.do('activate')
+    time.sleep(0.5)
+
+
 NETS = {'loss 1 %': {'loss': 0.01}, 'loss 5 %': {'loss': 0.05}, 'loss 20 %': {'loss': 0.2},
         'delay 5 ms': {'delay': 0.005}, 'delay 20 ms': {'delay': 0.02},
         'jitter 0 to 8 ms': {'jitter': 0.008}, 'reordering 10 %': {'reorder': 0.1},
@@ -252,6 +480,46 @@ CASES = (
     Case('link cut 2 s between two hosts', LATCH, cut_link, silence=True, two_hosts=True),
     Case('every core busy', EITHER, busy),
     Case("recorder's disk full", RIDE, full_disk),
+    Case("recorder's disk full for 5 s", RIDE, freed_disk),
+    Case("recorder's run removed", RIDE, removed_run),
+    Case("recorder's run moved", RIDE, moved_run),
+    Case('SIGSTOP recorder_node 5000 ms', RIDE, stopped_recorder),
     Case('kill -9 recorder_node, restart', RIDE, kill_recorder),
     Case('e-stop at full speed', LATCH, press),
+    *(Case(f'e-stop released at once, {kind} publisher', LATCH, touch(kind))
+      for kind in ('default', 'sensor data', 'latched')),
+    Case('e-stop released at once, beside 5000 releases a second', LATCH,
+         touch('default', 'flood')),
+    *(Case(f'e-stop released at once, {name} frozen for 0.5 s', LATCH, touch('default', name))
+      for name in ('plant_node', 'controller_node')),
+    Case('e-stop by a process that ends', LATCH, press_and_end),
+    *(Case(f'serial: {words}', LATCH, device_fault, device=device) for words, device in (
+        ('one state repeated for 4 s', ('repeat', '4')),
+        ('old states replayed for 4 s', ('replay', '4')),
+        ('host to device cut for 3 s', ('deaf', '3')),
+        ('device to host cut for 3 s', ('mute', '3')),
+        ('bad contact for 3 s', ('intermittent', '3')),
+        ('echo of a command never sent', ('unsent', '1')),
+        ('says another mode', ('mode', '1')),
+        ('another device at the port for 3 s', ('swap', '3')),
+        ('device restarts', ('restart', '0')))),
+    Case('serial: each state twice for 4 s', RIDE, device_fault, device=('double', '4')),
+    *(Case(f'cia402: {name}', LATCH, inject, drive=True) for name, inject in (
+        ('another master stops it (NMT)', drive.nmt(0x02)),
+        ('another master takes it to pre-operational', drive.nmt(0x80)),
+        ('another master resets it', drive.nmt(0x81)),
+        ('it goes to pre-operational by itself', drive.fault('pre-operational')),
+        ('it goes into another mode', drive.fault('mode', 8)),
+        ('its answers stand still for 4 s', drive.fault('frozen', duration=4.0)),
+        ('it is off the bus for 3 s', drive.fault('bus-off', duration=3.0)),
+        ('it obeys no controlword for 2 s', drive.fault('local', duration=2.0)),
+        ('kill -9 actuator_node, restart', drive.kill_host))),
+    Case('joint: controller deactivated 1 s', LATCH, joint('deactivate', 'activate', 1.0),
+         joint=True, coasts=True),
+    Case('joint: values frozen, stamps running, 2 s', LATCH, joint('stuck', 'moving', 2.0),
+         joint=True, coasts=True),
+    Case('joint: position nan 1 s', LATCH, joint('nan', 'number', 1.0), joint=True),
+    Case('joint: a second publisher of its state', LATCH, another_joint_state_publisher,
+         joint=True),
+    Case('joint: an array of two numbers', LATCH, two_numbers, joint=True, coasts=True),
 )

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A network between two halves of a loop that loses, delays, reorders and doubles messages.
 
     relay.py '{"loss": 0.05, "delay": 0.005, "jitter": 0.0, "duplicate": 0.0, "reorder": 0.0}'

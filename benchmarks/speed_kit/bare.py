@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The least there can be: processes that take and publish the loop's messages and compute nothing.
 
     python bare.py ROLE [options]
@@ -28,9 +29,9 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from dz_ros.core.records import Command, Reference, State, Terms, Truth
-from dz_ros.recording.cdr import ArrayCodec
-from dz_ros.runtime.process import end_with_parent, settle
+from dz_ros.core.records import Command, Reference, State, Terms, Truth  # noqa: E402
+from dz_ros.recording.cdr import ArrayCodec  # noqa: E402
+from dz_ros.runtime.process import end_with_parent, settle  # noqa: E402
 
 LABELS = {'state': State.labels(2), 'command': Command.labels(), 'truth': Truth.labels(),
           'reference': Reference.labels(2), 'terms': Terms.labels(('theta1', 'theta2', 'phi'))}
@@ -76,7 +77,7 @@ class Bare:
         self.peers = arguments.peers
         self.executor: Any = None
         if self.way == 'events':
-            from dz_ros.nodes.base import quickest_executor
+            from dz_ros.nodes.ros.base import quickest_executor
             self.executor = quickest_executor()
             self.executor.add_node(self.node)
         self.publishers = [self.node.create_publisher(Float64MultiArray, name, given)
@@ -236,7 +237,9 @@ def main() -> int:
     plain = bare.way == 'plain'
     if bare.speaks_on == 'tick':
         (bare.drive_plainly if plain else bare.drive)(arguments.duration + SETTLED)
-        print(json.dumps({'round_trips_ns': bare.round_trips[round(SETTLED * arguments.rate):]}))
+        print(json.dumps({'round_trips_ns': bare.round_trips[round(SETTLED * arguments.rate):],
+                          'threads': sorted({item.read_text().strip() for item in
+                                             Path('/proc/self/task').glob('*/comm')})}))
     else:
         (bare.answer_plainly if plain else bare.answer)()
     bare.node.destroy_node()

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The paper's closed loop as users of other tools would compute it: C, scipy, python-control.
 
 The loop is a sampled one: v is held over a sample while the plant moves in continuous time.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the system says of processes: time on a core, memory, children (Linux)."""
 
 from __future__ import annotations

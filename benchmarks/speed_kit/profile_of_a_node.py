@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What controller_node's time on a core goes into: by thread, and in Python by function."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Loops and bare processes, started, watched and ended for a measurement."""
 
 from __future__ import annotations
@@ -17,30 +18,33 @@ from typing import Any
 import numpy as np
 
 from benchmarks.speed_kit.processes import cpu_ns, nodes_below, resident
-from dz_ros.analysis.sequence import first_of_each
 from dz_ros.core.dataset import RunData
-from dz_ros.files import load_configuration, write_parameters
-from dz_ros.nodes.main import PROFILES
+from dz_ros.files.configurations import load_configuration, write_parameters
+from dz_ros.nodes.ros.middleware import PROFILES, TRANSPORTS, wishes
 from dz_ros.recording.reader import read_run
+from dz_ros.runs.sequence import first_of_each
 from dz_ros.runtime.process import PARENT
 
 ROOT = Path(__file__).resolve().parents[2]
 BARE = Path(__file__).with_name('bare.py')
-PROFILE = ROOT / 'dz_ros' / 'nodes' / 'fastdds.xml'
 TIME_OUT = 120.0
 SETTLED = 1.0
 """What happens in the first second of a loop is not measured [s]."""
 
 
 def environment(transport: str = '', profile: bool = False) -> dict[str, str]:
-    """Return the environment of a bare process."""
+    """Return the environment of a process that is measured.
+
+    Byte code is kept between starts, and no profile of the user's chooses the transport.
+    """
     found = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ,
              'PYTHONPATH': str(ROOT), PARENT: str(os.getpid())}
-    if profile:
-        found.setdefault(PROFILES[0], str(PROFILE))
+    for name in (*PROFILES, 'PYTHONDONTWRITEBYTECODE'):
+        found.pop(name, None)
     if transport:
-        found['FASTDDS_BUILTIN_TRANSPORTS'] = transport
-    return found
+        found[TRANSPORTS] = transport
+    # rmw_fastrtps takes no transport from the environment where discovery ends at this machine.
+    return found | wishes(found, ROOT) if profile or transport else found
 
 
 @contextlib.contextmanager
@@ -83,7 +87,14 @@ def echo(way: str, transport: str, duration: float) -> list[float]:
     """Return the round trips of a bare two-process echo [s]."""
     with bare('pong', '--way', way, transport=transport), bare(
             'ping', '--way', way, '--duration', str(duration), transport=transport) as ping:
-        return [item * 1e-9 for item in told(ping)['round_trips_ns']]
+        found = told(ping)
+    shared = any(name.startswith('dds.shm') for name in found['threads'])
+    if way != 'plain' and shared == bool(transport):
+        sys.exit(f'an echo by {transport or "shared memory"} has the threads '
+                 f'{", ".join(found["threads"])}')
+    if not found['round_trips_ns']:
+        sys.exit(f'an echo ({way}) had no round trip in {duration:g} s: what else is running?')
+    return [item * 1e-9 for item in found['round_trips_ns']]
 
 
 def bare_ticks(duration: float, rate: float = 200.0) -> list[float]:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``dz arena``: every law in every scenario, side by side."""
 
 from __future__ import annotations
@@ -6,12 +7,13 @@ import argparse
 from pathlib import Path
 import sys
 
+from dz_ros.cli.interrupt import prompt_end
 from dz_ros.cli.progress import Progress
-from dz_ros.core.compiled import available
+from dz_ros.core.loop.compiled import available
 from dz_ros.errors import ConfigurationError
 from dz_ros.studies.arena import Plan, run_arena
-from dz_ros.studies.arena_page import conditions, format_text, verdicts, write_arena
-from dz_ros.studies.scenarios import DURATION, SEEDS
+from dz_ros.studies.arena_page import conditions, format_beaten, format_text, write_arena
+from dz_ros.studies.scenarios import DURATION, IDEAL, SEEDS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +33,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='every run as CSV on the standard output instead of tables')
     parser.add_argument('--ros', action='store_true',
                         help='run the first member of each chosen scenario as ROS nodes in '
-                             'lockstep as well, and compare bit for bit with the loop off line')
+                             'lockstep as well, and compare bit for bit with the offline loop')
+    parser.add_argument('--retune', type=Path, metavar='FILE',
+                        help="tune every law's free gains for each scenario and over all of "
+                             'them, but the ideal ones; finished searches are kept in FILE and '
+                             'not made again')
+    parser.add_argument('--budget', type=int, default=400, metavar='N',
+                        help='with --retune: gains tried in each search (default: %(default)s)')
+    parser.add_argument('--searches', type=int, default=3, metavar='N',
+                        help='with --retune: searches, each of its own seed (default: '
+                             '%(default)s)')
+    parser.add_argument('--cluster', metavar='ADDRESS',
+                        help='with --retune: of a dask.distributed scheduler')
     parser.add_argument('--list', action='store_true', help='list laws and scenarios')
     parser.add_argument('--quiet', action='store_true', help='no progress')
 
@@ -45,19 +58,42 @@ def run(arguments: argparse.Namespace) -> int:
         for scenario in plan.scenarios.values():
             print(f'{scenario.name:20} {scenario.summary}')
         return 0
+    if arguments.retune is not None:
+        return _retune(arguments, plan)
     if arguments.ros:
         from dz_ros.cli.arena_ros import compare_with_ros
         return compare_with_ros(plan, quiet=arguments.quiet)
     if not available() and not arguments.quiet:
         print("dz: note: without numba this takes long: pip install 'dz_ros[numba]'",
               file=sys.stderr)
-    arena = run_arena(plan, arguments.jobs, progress=Progress(plan.runs, arguments.quiet))
+    with prompt_end():
+        arena = run_arena(plan, arguments.jobs, progress=Progress(plan.runs, arguments.quiet))
     if arguments.csv:
         print(arena.csv(), end='')
     else:
-        print(format_text(arena), '', conditions(arena), *verdicts(arena), sep='\n')
+        print(format_text(arena), '', conditions(arena), '', format_beaten(arena), sep='\n')
     if arguments.out is not None:
         print(write_arena(arena, arguments.out), file=sys.stderr if arguments.csv else sys.stdout)
+    return 0
+
+
+def _retune(arguments: argparse.Namespace, plan: Plan) -> int:
+    """Tune every law; print both tables."""
+    from dz_ros.studies.retune import retune
+    from dz_ros.studies.retune_page import errors_table, gains_table, summary, table
+
+    for key, value, least in (('--budget', arguments.budget, 1),
+                              ('--searches', arguments.searches, 1)):
+        if value < least:
+            raise ConfigurationError(key, value, f'must be at least {least}')
+    laws = {name: item for name, item in plan.entrants.items() if not name.startswith(IDEAL)}
+    searches = len(laws) * (1 + len(plan.scenarios)) * arguments.searches
+    with prompt_end():
+        found = retune(laws, list(plan.scenarios), arguments.retune, plan.duration, plan.seeds,
+                       arguments.searches, arguments.budget, arguments.jobs, arguments.cluster,
+                       Progress(searches, arguments.quiet))
+    print(summary(found), '', *table(found), '', *gains_table(found), '', *errors_table(found),
+          sep='\n')
     return 0
 
 

@@ -1,7 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
 """``dz arena --ros``: chosen runs of the comparison through ROS nodes, held against the loop.
 
 Each is the loop as processes in lockstep, recorded, read back and compared bit for bit with the
-same configuration off line. `controller.override_checks` is set: a comparison also runs what the
+same configuration offline. `controller.override_checks` is set: a comparison also runs what the
 design rules advise against.
 """
 
@@ -18,8 +19,8 @@ import numpy as np
 from dz_ros.cli.processes import check_rclpy
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run, RunData
-from dz_ros.core.loop import simulate
-from dz_ros.files import write_parameters
+from dz_ros.core.loop.offline import simulate
+from dz_ros.files.configurations import write_parameters
 from dz_ros.recording.reader import read_run
 from dz_ros.studies.arena import Plan
 
@@ -48,7 +49,7 @@ def compare_with_ros(plan: Plan, quiet: bool = False) -> int:
 
 
 def compare_one(configuration: Configuration, quiet: bool = False) -> str:
-    """Return what differs between a run through ROS and one off line; '' = nothing."""
+    """Return what differs between a run through ROS and one offline; '' = nothing."""
     with tempfile.TemporaryDirectory(prefix='dz_ros-') as folder:
         file, recording = Path(folder) / 'parameters.yaml', Path(folder) / 'run'
         write_parameters(configuration, file)
@@ -64,7 +65,7 @@ def compare_one(configuration: Configuration, quiet: bool = False) -> str:
 
 
 def difference(through_ros: RunData, offline: RunData) -> str:
-    """Return the first number that differs, in words; '' = none does."""
+    """Return the first number that differs, as text; '' = none does."""
     for name, begin in COMPARED.items():
         found, wanted = through_ros.channels.get(name), offline.channels[name]
         if found is None:

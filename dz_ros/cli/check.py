@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``dz check``: what a configuration promises and what it does not, rule by rule.
 
 Exit code 0 where it may run, warnings or not; 1 where a rule finds an error. controller_node
@@ -11,16 +12,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterable
 from dataclasses import asdict
-import json
 import textwrap
 
-from dz_ros.analysis.metrics import jsonable
-from dz_ros.cli.options import add_configuration, read_configuration
+from dz_ros.cli.options import add_configuration, read_machine
+from dz_ros.cli.output import print_json
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.design_rules import check
-from dz_ros.core.finding import ERROR, Finding, INFO, WARNING, worst
-from dz_ros.core.stability import has_slope, lambda_limit
+from dz_ros.core.design.finding import ERROR, Finding, INFO, WARNING, worst
+from dz_ros.core.design.rules import check
+from dz_ros.core.design.stability import has_slope, lambda_limit
 from dz_ros.errors import ConfigurationError
+from dz_ros.runs.metrics import jsonable
 
 FOUND_ERRORS = 1
 WIDTH = 96
@@ -42,16 +43,21 @@ def run(arguments: argparse.Namespace) -> int:
     disturbance = arguments.disturbance
     if disturbance is not None and not 0.0 <= disturbance < float('inf'):
         raise ConfigurationError('--disturbance', disturbance, 'must be a finite number >= 0')
-    configuration = read_configuration(arguments)
-    findings = check(configuration, disturbance,
-                     None if arguments.quick else stability_limit(configuration))
+    configuration = read_machine(arguments)
+    found = {name: check(item, disturbance, None if arguments.quick else stability_limit(item))
+             for name, item in configuration.axes or (('', configuration),)}
     if arguments.json:
-        print(json.dumps({'worst': worst(findings),
-                          'findings': [jsonable(asdict(item)) for item in findings]},
-                         ensure_ascii=False, indent=2))
+        each = {name: {'worst': worst(findings),
+                       'findings': [jsonable(asdict(item)) for item in findings]}
+                for name, findings in found.items()}
+        print_json(each[''] if '' in each else {
+            'worst': worst([item for findings in found.values() for item in findings]),
+            'axes': each})
     else:
-        print(format_findings(findings))
-    return FOUND_ERRORS if worst(findings) == ERROR else 0
+        print('\n\n'.join(format_findings(findings) if not name else
+                          f'== axis {name}\n\n{format_findings(findings)}'
+                          for name, findings in found.items()))
+    return FOUND_ERRORS if any(worst(findings) == ERROR for findings in found.values()) else 0
 
 
 def stability_limit(configuration: Configuration) -> float | None:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``dz doctor``: what this machine permits a loop, and what that would gain, measured.
 
 An absolute-deadline loop of 200 Hz runs once for each set-up, on the machine as it is and beside
@@ -11,16 +12,16 @@ from collections.abc import Iterator, Sequence
 import contextlib
 from importlib.util import find_spec
 import json
-import os
 from pathlib import Path
 import platform
 import subprocess
 import sys
 from typing import Any
 
+from dz_ros.cli.processes import python_environment
+from dz_ros.core.statistics import LATE, percentile
 from dz_ros.errors import LoopError
 from dz_ros.runtime.privileges import ADVICE, usable_cores
-from dz_ros.runtime.process import PARENT
 
 SECONDS = 1.5
 BUSY = 'import sys, time\nend = time.time() + float(sys.argv[1])\nwhile time.time() < end: pass'
@@ -45,9 +46,9 @@ def run(arguments: argparse.Namespace) -> int:
         f"process.cores: '{last}'": ['--cores', str(last)],
         'process.priority: 50': ['--priority', '50'],
         'all of them': ['--lock', '--cores', str(last), '--priority', '50']}
-    idle = {name: _measure(words, arguments.seconds) for name, words in setups.items()}
+    idle = {name: measure(words, arguments.seconds) for name, words in setups.items()}
     with _load(len(setups) * (arguments.seconds + WHOLE)):
-        busy = {name: _measure(words, arguments.seconds) for name, words in setups.items()
+        busy = {name: measure(words, arguments.seconds) for name, words in setups.items()
                 if not idle[name]['refused']}
     machine = _machine()
     if arguments.json:
@@ -66,13 +67,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _machine() -> dict[str, str]:
-    """Return what matters of the machine, in words."""
+    """Return the properties of the machine that matter, as text."""
     found = {'cores': str(len(usable_cores())),
              'system': f'{platform.system()} {platform.release()}',
              'Python': platform.python_version()}
     version = platform.version()
     found['kernel'] = next((name for name in ('PREEMPT_RT', 'PREEMPT_DYNAMIC', 'PREEMPT')
-                            if name in version), 'without preemption, as far as it says')
+                            if name in version), 'without preemption')
     governor = Path('/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor')
     with contextlib.suppress(OSError):
         found['frequency'] = f'{governor.read_text().strip()} (performance keeps ticks closest)'
@@ -88,27 +89,32 @@ def _machine() -> dict[str, str]:
     return found
 
 
-def _measure(words: Sequence[str], seconds: float) -> dict[str, Any]:
-    """Return what one measurement says.
+def measure(words: Sequence[str], seconds: float) -> dict[str, Any]:
+    """Return the result of one measurement.
 
     Raises:
         LoopError: It failed.
     """
-    home = str(Path(__file__).resolve().parents[2])
     done = subprocess.run(
         [sys.executable, '-m', 'dz_ros.runtime.probe', '--duration', str(seconds), *words],
-        env={**os.environ, 'PYTHONPATH': os.pathsep.join([home, *sys.path[1:]]),
-             PARENT: str(os.getpid())},
+        env=python_environment(),
         capture_output=True, text=True, check=False, timeout=WHOLE + seconds)
     if done.returncode:
         raise LoopError(f'a measurement failed: {done.stderr.strip().splitlines()[-1:]}')
-    found: dict[str, Any] = json.loads(done.stdout)
-    return found
+    found = json.loads(done.stdout)
+    return {'refused': found['refused'], **summary(found['lateness'])}
+
+
+def summary(ordered: Sequence[float]) -> dict[str, Any]:
+    """Return p50, p99 and the largest of ordered times [s], and the number of late ones."""
+    return {'p50': percentile(ordered, 0.5), 'p99': percentile(ordered, 0.99),
+            'max': ordered[-1], 'late': sum(item > LATE for item in ordered),
+            'ticks': len(ordered)}
 
 
 @contextlib.contextmanager
 def _load(limit: float) -> Iterator[None]:
-    """Keep every core busy for a while, at most so long [s]."""
+    """Keep every core busy for at most `limit` [s]."""
     busy = [subprocess.Popen([sys.executable, '-c', BUSY, str(limit)]) for _ in usable_cores()]
     try:
         yield

@@ -1,49 +1,56 @@
-"""``dz list plants|laws|trajectories|configurations``: what a configuration can choose from."""
+# SPDX-License-Identifier: Apache-2.0
+"""``dz list [KIND]``: what a configuration can choose from, and every key it can have."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 import re
 
+from dz_ros.core.configuration import every_field
+from dz_ros.core.driven import DRIVERS
+from dz_ros.core.laws import LAWS
+from dz_ros.core.plants import PLANTS
 from dz_ros.core.registry import Registry
-from dz_ros.errors import DzRosError
-from dz_ros.files import shipped_configurations
+from dz_ros.core.trajectories import TRAJECTORIES
+from dz_ros.errors import ConfigurationError, DzRosError, suggestion
+from dz_ros.files.configurations import shipped_configurations
 
-KINDS = ('plants', 'laws', 'trajectories', 'configurations')
+Lines = Iterator[tuple[str, str]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument('kind', choices=KINDS, metavar='KIND', help=', '.join(KINDS))
+    parser.add_argument('kind', nargs='?', metavar='KIND',
+                        help=f'{", ".join(KINDS)} (default: all)')
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print one line for each thing: its name and what it is."""
-    lines = list(_configurations() if arguments.kind == 'configurations'
-                 else _registered(arguments.kind))
-    width = max((len(name) for name, _ in lines), default=0)
-    for name, summary in lines:
-        print(f'{name:<{width}}  {summary}')
+    """Print one line for each item: its name and what it is."""
+    kind = arguments.kind
+    if kind is not None and kind not in KINDS:
+        raise ConfigurationError('KIND', kind, f'must be one of {", ".join(KINDS)}'
+                                 f'{suggestion(kind, KINDS)}; see dz list --help')
+    for name in KINDS if kind is None else (kind,):
+        if kind is None:
+            print(f'{name}:')
+        lines = list(KINDS[name]())
+        width = max((len(item) for item, _ in lines), default=0)
+        for item, summary in lines:
+            print(f'{"" if kind else "  "}{item:<{width}}  {summary}')
     return 0
 
 
-def _registered(kind: str) -> Iterator[tuple[str, str]]:
-    """Yield (name, summary) of ours and of what other packages bring, with what ails them."""
-    from dz_ros.core.laws import LAWS
-    from dz_ros.core.plants import PLANTS
-    from dz_ros.core.trajectories import TRAJECTORIES
-
-    registries: dict[str, Registry] = {'plants': PLANTS, 'laws': LAWS,
-                                       'trajectories': TRAJECTORIES}
-    for name, found in registries[kind].all().items():
-        if isinstance(found, DzRosError):
-            yield name, f'(not usable) {found}'
-        else:
-            yield name, found.summary
+def _registered(registry: Registry) -> Callable[[], Lines]:
+    """Return a function that yields (name, summary) of a registry, with errors of broken ones."""
+    def found() -> Lines:
+        for name, item in registry.all().items():
+            yield name, (f'(not usable) {item}' if isinstance(item, DzRosError)
+                         else str(item.summary))
+    return found
 
 
-def _configurations() -> Iterator[tuple[str, str]]:
+def _configurations() -> Lines:
     """Yield (name, first sentence of the comment at the top) of the shipped configurations."""
     for name, path in shipped_configurations().items():
         words: list[str] = []
@@ -53,3 +60,17 @@ def _configurations() -> Iterator[tuple[str, str]]:
             words += line.lstrip('#').split()
         # A sentence ends before a capital letter; "et al. 2022" goes on.
         yield name, re.split(r'\.(?: (?=[A-Z])|$)', ' '.join(words))[0]
+
+
+def _keys() -> Lines:
+    """Yield (key, meaning, unit, range, default) of every key of every installed class."""
+    for key, field in every_field().items():
+        details = [field.spec.unit and f'[{field.spec.unit}]', field.spec.range_text(),
+                   f'default {field.default!r}']
+        yield key, f'{field.spec.description}; {", ".join(filter(None, details))}'
+
+
+KINDS: Mapping[str, Callable[[], Lines]] = {
+    'plants': _registered(PLANTS), 'laws': _registered(LAWS),
+    'trajectories': _registered(TRAJECTORIES), 'drivers': _registered(DRIVERS),
+    'configurations': _configurations, 'keys': _keys}

@@ -1,4 +1,5 @@
-"""The loop off line, for a person: a loop that diverges is one line that says when."""
+# SPDX-License-Identifier: Apache-2.0
+"""The offline loop for a person: one that diverges is one line with the time."""
 
 from __future__ import annotations
 
@@ -8,11 +9,40 @@ from dataclasses import replace
 import numpy as np
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.loop import Run, simulate
+from dz_ros.core.loop.coupled import is_coupled, simulate_axes
+from dz_ros.core.loop.offline import Run, simulate
 from dz_ros.errors import ConfigurationError, LoopError
 
 ADVICE = ('try a smaller controller.lambda, a larger controller.epsilon, a higher loop.rate or '
           'less loop.delay')
+
+
+def simulate_machine(configuration: Configuration) -> dict[str, Run]:
+    """Return axis → its closed loop, as `simulate_offline`; one axis is called ''.
+
+    Raises:
+        ConfigurationError: The configuration has no end.
+        LoopError: An axis diverged; with its name and the time.
+    """
+    if not is_coupled(configuration):
+        found = {}
+        for name, item in configuration.axes or (('', configuration),):
+            try:
+                found[name] = simulate_offline(item)
+            except LoopError as error:
+                raise LoopError(f'axis {name}: {error}' if name else str(error)) from error
+        return found
+    _require_end(configuration)
+    try:
+        runs = simulate_axes(configuration)
+    except (OverflowError, ValueError) as error:
+        if isinstance(error, ConfigurationError):
+            raise
+        raise LoopError('the loop diverged, its numbers are no longer finite: '
+                        f'{ADVICE}') from error
+    for name, run in runs.items():
+        _require_finite(run, f'axis {name}: ')
+    return runs
 
 
 def simulate_offline(configuration: Configuration,
@@ -25,12 +55,9 @@ def simulate_offline(configuration: Configuration,
 
     Raises:
         ConfigurationError: The configuration has no end.
-        LoopError: The loop diverged; says at what time.
+        LoopError: The loop diverged; with the time.
     """
-    if configuration.loop.samples == 0:
-        raise ConfigurationError('loop.duration', configuration.loop.duration,
-                                 'a loop off line needs an end: at least one sample interval, '
-                                 f'{configuration.loop.period:g} s')
+    _require_end(configuration)
     try:
         run = simulate(configuration, memory=memory)
     except MemoryError:
@@ -42,15 +69,26 @@ def simulate_offline(configuration: Configuration,
             raise
         sample = _first_failing(configuration, memory)
         raise _diverged(sample * configuration.loop.period) from error
-    for array in (run.x, run.v[:, np.newaxis], run.terms):
-        bad = ~np.isfinite(array).all(axis=1)
-        if bad.any():
-            raise _diverged(float(run.t[int(bad.argmax())]))
+    _require_finite(run)
     return run
 
 
-def _diverged(t: float) -> LoopError:
-    return LoopError(f'the loop diverged, its numbers are no longer finite at t = {t:g} s: '
+def _require_end(configuration: Configuration) -> None:
+    if configuration.loop.samples == 0:
+        raise ConfigurationError('loop.duration', configuration.loop.duration,
+                                 'an offline loop needs an end: at least one sample interval, '
+                                 f'{configuration.loop.period:g} s')
+
+
+def _require_finite(run: Run, where: str = '') -> None:
+    for array in (run.x, run.v[:, np.newaxis], run.terms):
+        bad = ~np.isfinite(array).all(axis=1)
+        if bad.any():
+            raise _diverged(float(run.t[int(bad.argmax())]), where)
+
+
+def _diverged(t: float, where: str = '') -> LoopError:
+    return LoopError(f'{where}the loop diverged, its numbers are no longer finite at t = {t:g} s: '
                      f'{ADVICE}')
 
 

@@ -1,14 +1,17 @@
+# SPDX-License-Identifier: Apache-2.0
 """Nodes as processes of a verb: started, waited for, ended in order, each by its own id."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib.util import find_spec
 import os
 from pathlib import Path
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from types import TracebackType
 from typing import Any
@@ -16,13 +19,14 @@ from typing import Any
 import yaml
 
 from dz_ros.errors import MissingDependencyError, NO_RCLPY
+from dz_ros.runtime.log_folder import log_folder_fault, NO_LOG_FILES
 from dz_ros.runtime.process import PARENT
+from dz_ros.runtime.signals import ENDS, on_ends
 
-ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that end a verb in order; the last one is a terminal that was closed."""
 GRACE = 10.0
-"""A node that has not ended this long after being told is killed [s]."""
+"""A node that has not ended this long after the request is killed [s]."""
 _POLL = 0.02
+_DESCRIPTORS = '/dev/fd/'
 
 
 def check_rclpy() -> None:
@@ -33,6 +37,19 @@ def check_rclpy() -> None:
     """
     if find_spec('rclpy') is None:
         raise MissingDependencyError(NO_RCLPY)
+
+
+def python_environment() -> dict[str, str]:
+    """Return the environment in which another Python finds this package, and ends with this one.
+
+    The folder in which the user happens to be is none of its Python path.
+    """
+    home = str(Path(__file__).resolve().parents[2])
+    paths = os.environ.get('PYTHONPATH', '').split(os.pathsep)
+    if home not in (*sys.path[1:], *paths):
+        paths.insert(0, home)
+    return {**os.environ, PARENT: str(os.getpid()), 'PYTHONSAFEPATH': '1',
+            'PYTHONPATH': os.pathsep.join(path for path in paths if path)}
 
 
 def start_node(name: str, arguments: Sequence[str], **streams: Any) -> subprocess.Popen[Any]:
@@ -46,26 +63,78 @@ def start_node(name: str, arguments: Sequence[str], **streams: Any) -> subproces
         arguments: Its command line.
         **streams: Standard streams and their encoding, as of `subprocess.Popen`.
     """
-    home = str(Path(__file__).resolve().parents[2])
-    paths = os.environ.get('PYTHONPATH', '').split(os.pathsep)
-    if home not in (*sys.path[1:], *paths):
-        paths.insert(0, home)
-    environment = {
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **os.environ, PARENT: str(os.getpid()),
-        'PYTHONSAFEPATH': '1', 'PYTHONPATH': os.pathsep.join(path for path in paths if path)}
+    if _log_folder_fault():
+        arguments = [*arguments, '--ros-args', NO_LOG_FILES]
+    given = [int(word.removeprefix(_DESCRIPTORS)) for word in arguments
+             if word.startswith(_DESCRIPTORS)]
+    environment = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **python_environment()}
     held = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
     try:
         return subprocess.Popen([sys.executable, '-m', 'dz_ros.nodes.main', name, *arguments],
                                 env=environment, stdin=subprocess.DEVNULL,
-                                start_new_session=True, **streams)
+                                start_new_session=True, pass_fds=given, **streams)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
-def write_node_parameters(path: Path, parameters: Mapping[str, Any]) -> None:
-    """Write parameters for every node as a file; text keeps its type, whatever it looks like."""
-    path.write_text(yaml.safe_dump({'/**': {'ros__parameters': dict(parameters)}},
-                                   allow_unicode=True), encoding='utf-8')
+def ask_to_end(process: subprocess.Popen[Any]) -> None:
+    """Ask a node to end, also one that is stopped (SIGSTOP)."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGCONT)
+
+
+def wait_or_kill(process: subprocess.Popen[Any]) -> int:
+    """Return a node's exit code; kill it where it does not end in time."""
+    try:
+        return process.wait(GRACE)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
+
+
+@cache
+def _log_folder_fault() -> str:
+    """Return why nodes cannot keep log files, '' where they can; print it once."""
+    fault = log_folder_fault()
+    if fault:
+        print(f'dz: warning: {fault}', file=sys.stderr)
+    return fault
+
+
+class ParameterFiles:
+    """Files without a name for the nodes of one verb; a context manager that closes them.
+
+    `start_node` passes them on. They are gone with the last process that has them open, so nothing
+    stays behind however a verb ends, and they need no room on a disk.
+    """
+
+    def __init__(self) -> None:
+        self._descriptors: list[int] = []
+
+    def add(self, text: str) -> str:
+        """Return the path, in this process and its nodes, of a new file with this text."""
+        if hasattr(os, 'memfd_create'):
+            descriptor = os.memfd_create('parameters')
+        else:
+            with tempfile.TemporaryFile() as file:
+                descriptor = os.dup(file.fileno())
+        self._descriptors.append(descriptor)
+        os.write(descriptor, text.encode())
+        return f'{_DESCRIPTORS}{descriptor}'
+
+    def add_parameters(self, parameters: Mapping[str, Any]) -> str:
+        """Return the path of a file with parameters for every node; text stays text."""
+        return self.add(yaml.safe_dump({'/**': {'ros__parameters': dict(parameters)}},
+                                       allow_unicode=True))
+
+    def __enter__(self) -> ParameterFiles:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for descriptor in self._descriptors:
+            os.close(descriptor)
+        self._descriptors.clear()
 
 
 class Nodes:
@@ -83,8 +152,7 @@ class Nodes:
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Nodes:
-        for number in ENDS:
-            self._previous[number] = signal.signal(number, self._interrupt)
+        self._previous = on_ends(self._interrupt)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
@@ -114,15 +182,10 @@ class Nodes:
         return code
 
     def end(self, name: str) -> int:
-        """Tell a node to end, kill it if it does not, and return its exit code."""
+        """End a node, kill it if it does not, and return its exit code."""
         process = self._processes[name]
-        if process.poll() is None:
-            process.send_signal(signal.SIGINT)
-        try:
-            return process.wait(GRACE)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            return process.wait()
+        ask_to_end(process)
+        return wait_or_kill(process)
 
     def _interrupt(self, _number: int, _frame: object) -> None:
         self.interrupted = True

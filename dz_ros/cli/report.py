@@ -1,4 +1,5 @@
-"""``dz report RUN``: the page with figures and metrics, and the five numbers that tell most.
+# SPDX-License-Identifier: Apache-2.0
+"""``dz report RUN``: the page with figures and metrics, and the five most important numbers.
 
 With ``--serve`` the run is shown in the browser instead, by the page of a running loop.
 """
@@ -10,19 +11,28 @@ import json
 from pathlib import Path
 import sys
 
-from dz_ros.analysis.counterpart import without_dead_zone
-from dz_ros.analysis.view import View
-from dz_ros.cli.bag_recover import beside
-from dz_ros.cli.options import add_address
+from dz_ros.cli.bag.recover import beside
+from dz_ros.cli.options import (
+    add_address,
+    add_recording,
+    check_port,
+    read_axes,
+    read_one,
+    window,
+)
+from dz_ros.cli.output import note, note_problems, note_run, print_lines
+from dz_ros.cli.progress import NOTICED, Progress
 from dz_ros.cli.table import five_rows, format_table, window_title
 from dz_ros.core.dataset import RunData
 from dz_ros.errors import ConfigurationError, DzRosError
-from dz_ros.recording.reader import read_run
+from dz_ros.report.reference_run import without_dead_zone
+from dz_ros.report.verdict import judge
+from dz_ros.report.view import View
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
-    parser.add_argument('run', type=Path, metavar='RUN', help='directory of a run, or its .mcap')
+    add_recording(parser, numbers=True)
     parser.add_argument('--serve', action='store_true',
                         help='show the run in the browser, to scrub through, until Ctrl-C')
     parser.add_argument('--over', type=Path, metavar='RUN2',
@@ -37,42 +47,74 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--without-dead-zone', type=Path, metavar='RUN2', dest='without',
                         help='the run for figures 5 and 6 (default: simulate the one of RUN '
                              'with b_r = b_l = 0, m = 1)')
-    parser.add_argument('--namespace', metavar='NS',
-                        help='whose topics to read, where a run holds several loops')
-    parser.add_argument('--window', type=float, nargs=2, metavar=('FROM', 'TO'),
-                        help='instants the numbers are about [s] (default: the last 10 s, of a '
-                             'short run the last half)')
-    parser.add_argument('--kick', type=float, metavar='T',
-                        help='instant of a disturbance the loop has to recover from [s]')
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, write the report, print the numbers."""
-    data = read_run(arguments.run, arguments.namespace)
+    check_port(arguments)
     if arguments.serve:
-        return _serve(arguments, data)
+        return _serve(arguments, read_one(arguments))
     if arguments.over is not None:
         raise ConfigurationError('--over', str(arguments.over), 'goes with --serve; dz bag '
                                  'compare lays runs side by side in a report')
-    window = None if arguments.window is None else (arguments.window[0], arguments.window[1])
-    view = View.of(data, window=window, kick=arguments.kick)
+    runs = read_axes(arguments)
+    if '' not in runs:
+        return _report_axes(arguments, runs)
+    data = runs['']
+    view = View.of(data, window=window(arguments), pulse=arguments.pulse)
     page = None
     if arguments.out is not None or not arguments.json:
-        from dz_ros.analysis.report import write_report
+        from dz_ros.report.report import PICTURES, write_report
 
         page = write_report(data, arguments.out or beside(arguments.run, 'report'),
-                            without_dead_zone=_counterpart(view, arguments),
-                            title=arguments.run.resolve().name, window=window,
-                            kick=arguments.kick)
+                            without_dead_zone=_reference_run(view, arguments),
+                            title=arguments.run.resolve().name, window=window(arguments),
+                            pulse=arguments.pulse, progress=Progress(
+                                len(PICTURES), arguments.json, 'pictures', NOTICED))
     if arguments.json:
-        print(json.dumps(view.to_dict(), ensure_ascii=False, indent=2, allow_nan=False))
+        verdict = judge(view)
+        print(json.dumps({**view.to_dict(), 'verdict': {
+            'failures': verdict.failures, 'facts': verdict.facts}}, indent=2, allow_nan=False))
     else:
-        print(format_table(window_title(view), five_rows(view)))
-    if 'cut' in data.info:
-        print(f'dz: note: the run was cut off: {data.info["cut"]}', file=sys.stderr)
+        print_lines(judge(view).lines())
+        print_lines(format_table(window_title(view), five_rows(view)))
+    note_run(data)
+    code = note_problems({'the run': view.setting}, arguments.allow_import)
     if page is not None:
-        print(f'report: {page}', file=sys.stderr if arguments.json else sys.stdout)
-    return 0
+        print_lines(f'report: {page}', sys.stderr if arguments.json else sys.stdout)
+    return code
+
+
+def _report_axes(arguments: argparse.Namespace, runs: dict[str, RunData]) -> int:
+    """Write the summary of a run of several axes and the report of each; print the numbers."""
+    views = {name: View.of(run, window=window(arguments), pulse=arguments.pulse)
+             for name, run in runs.items()}
+    page = None
+    if arguments.out is not None or not arguments.json:
+        from dz_ros.report.axes import write_axes_report
+
+        if arguments.without is not None:
+            raise ConfigurationError('--without-dead-zone', str(arguments.without),
+                                     'is of one axis; choose it with --axis')
+        page = write_axes_report(
+            runs, arguments.out or beside(arguments.run, 'report'),
+            without_dead_zone={name: _reference_run(view, arguments)
+                               for name, view in views.items()},
+            title=arguments.run.resolve().name, window=window(arguments), pulse=arguments.pulse)
+    if arguments.json:
+        print(json.dumps({'axes': {name: {**view.to_dict(), 'verdict': {
+            'failures': judge(view).failures, 'facts': judge(view).facts}}
+            for name, view in views.items()}}, indent=2, allow_nan=False))
+    else:
+        for name, view in views.items():
+            print_lines([f'axis {name}', *judge(view).lines()])
+            print_lines(format_table(window_title(view), five_rows(view)))
+    note_run(next(iter(runs.values())))
+    code = note_problems({f'axis {name}': view.setting for name, view in views.items()},
+                         arguments.allow_import)
+    if page is not None:
+        print_lines(f'report: {page}', sys.stderr if arguments.json else sys.stdout)
+    return code
 
 
 def _serve(arguments: argparse.Namespace, data: RunData) -> int:
@@ -82,20 +124,18 @@ def _serve(arguments: argparse.Namespace, data: RunData) -> int:
     runs = {arguments.run.resolve().name: data}
     if arguments.over is not None:
         name = arguments.over.resolve().name
-        runs[f'{name} (2)' if name in runs else name] = read_run(arguments.over,
-                                                                arguments.namespace)
+        runs[f'{name} (2)' if name in runs else name] = read_one(arguments, arguments.over)
     return serve(runs, arguments.host, arguments.port)
 
 
-def _counterpart(view: View, arguments: argparse.Namespace) -> RunData | None:
+def _reference_run(view: View, arguments: argparse.Namespace) -> RunData | None:
     """Return the run without dead-zone: the one given, else a simulated one, if it exists."""
     if arguments.without is not None:
-        return read_run(arguments.without, arguments.namespace)
+        return read_one(arguments, arguments.without)
     try:
         return without_dead_zone(view)
     except DzRosError:
         raise
     except (OverflowError, ValueError):
-        print('dz: note: without dead-zone this loop diverges; figures 5 and 6 are left out',
-              file=sys.stderr)
+        note('without dead-zone this loop diverges; figures 5 and 6 are left out')
         return None

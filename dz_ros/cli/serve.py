@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``dz report --serve``: recorded runs in the browser, by the page of a running loop."""
 
 from __future__ import annotations
@@ -6,6 +7,7 @@ import asyncio
 from collections.abc import Mapping
 import signal
 
+from dz_ros.cli.output import note
 from dz_ros.core.dataset import RunData
 
 
@@ -16,10 +18,13 @@ def serve(runs: Mapping[str, RunData], host: str, port: int) -> int:
         DzRosError: A run has nothing to show, or the server cannot start.
     """
     from dz_ros.live.access import Access
-    from dz_ros.live.recorded import Recorded
+    from dz_ros.live.recorded_source import Recorded
     from dz_ros.live.server import Server
 
-    server = Server(Recorded(runs), Access(host, actions=False))
+    recorded = Recorded(runs)
+    for problem in recorded.problems:
+        note(problem)
+    server = Server(recorded, Access(host, actions=False))
 
     async def work() -> None:
         ended = asyncio.Event()

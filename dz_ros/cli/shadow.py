@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The shadow controller: yesterday's states and references, today's commands, side by side."""
 
 from __future__ import annotations
@@ -7,17 +8,19 @@ from collections.abc import Iterator
 import json
 import math
 from pathlib import Path
-import sys
 import tempfile
 from typing import Any
 
-from dz_ros.analysis.shadow import compare_answers, Comparison
-from dz_ros.cli.processes import Nodes, write_node_parameters
+from dz_ros.cli.options import refuse_existing
+from dz_ros.cli.output import aligned, note, print_lines
+from dz_ros.cli.processes import Nodes, ParameterFiles
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
-from dz_ros.errors import ConfigurationError, RunExistsError
-from dz_ros.files import flat_parameters, write_parameters
+from dz_ros.errors import ConfigurationError, RecordingError
+from dz_ros.files.configurations import flat_parameters, format_parameters
 from dz_ros.recording.reader import read_run
+from dz_ros.replay.shadow import compare_answers, Comparison
+from dz_ros.runs.history import RunHistory
 
 NAMESPACE = 'shadow'
 """Everything live happens below this namespace: no recorded topic is ever published on."""
@@ -33,50 +36,48 @@ def run_shadow(arguments: argparse.Namespace) -> int:
     """
     if not (math.isfinite(arguments.tolerance) and arguments.tolerance >= 0.0):
         raise ConfigurationError('--tolerance', arguments.tolerance, 'must be a number >= 0')
-    if arguments.record is not None and arguments.record.exists():
-        raise RunExistsError(f'{arguments.record}: exists already; recordings are never '
-                             'overwritten: choose another directory')
+    refuse_existing(arguments.record)
     recorded = read_run(arguments.run, arguments.of)
+    if recorded.axes:
+        raise RecordingError(f'{arguments.run} has axes {", ".join(recorded.axes)}; a shadow '
+                             'controller answers a loop of one axis: dz bag audit and whatif do '
+                             'it for each')
     live = _configuration(recorded, arguments)
-    with tempfile.TemporaryDirectory(prefix='dz_ros-') as folder:
+    with tempfile.TemporaryDirectory(prefix='dz_ros-') as folder, ParameterFiles() as files:
         directory = arguments.record or Path(folder) / 'live'
-        code = _feed(arguments, recorded, live, Path(folder), directory)
+        code = _feed(arguments, recorded, live, files, directory)
         if code:
             return code
         found = compare_answers(recorded, read_run(directory), arguments.tolerance)
-    for note in _notes(recorded):
-        print(f'dz: note: {note}', file=sys.stderr)
+    for text in _notes(recorded):
+        note(text)
     if arguments.json:
         print(json.dumps(found.to_dict(), indent=2, allow_nan=False))
     else:
-        print('\n'.join(lines(found)))
+        print_lines(lines(found))
     return 0 if found.same else 1
 
 
 def _configuration(recorded: RunData, arguments: argparse.Namespace) -> Configuration:
-    """Return the live controller's configuration: the run's, with what was asked for changed.
-
-    Raises:
-        ConfigurationError: There is none, or it cannot be used.
-    """
-    if not recorded.configuration and arguments.config is None:
+    """Return the live controller's configuration: the run's, with what was asked for changed."""
+    began = RunHistory.of(recorded).began
+    if not began and arguments.config is None:
         raise ConfigurationError('--config', None, f'{arguments.run} does not hold the '
                                  'configuration it was recorded with: give it')
-    overrides = flat_parameters(arguments.config, arguments.overrides)
-    configuration = Configuration.from_flat({**recorded.configuration, **overrides},
-                                           driven=False)
+    overrides = flat_parameters(arguments.config, arguments.overrides,
+                                arguments.of or recorded.info.get('namespace', ''))
+    # Its commands do not act, so the device moves against them as it likes.
+    configuration = Configuration.from_untrusted({**began, 'safety.runaway_time': 0.0}, overrides)
     return configuration.replace(**{
         'loop.timing': 'realtime' if arguments.paced else 'lockstep',
         'loop.peers': PEERS[1:] if arguments.paced else PEERS})
 
 
-def _feed(arguments: argparse.Namespace, recorded: RunData, live: Configuration, folder: Path,
-          directory: Path) -> int:
+def _feed(arguments: argparse.Namespace, recorded: RunData, live: Configuration,
+          files: ParameterFiles, directory: Path) -> int:
     """Run the live controller on the recorded data and record it; return the exit code."""
     namespace = (arguments.namespace or NAMESPACE).strip('/')
-    parameters, feeding = folder / 'parameters.yaml', folder / 'feed.yaml'
-    write_parameters(live, parameters)
-    common = ['-r', f'__ns:=/{namespace}', '--params-file', str(parameters)]
+    common = ['-r', f'__ns:=/{namespace}', '--params-file', files.add(format_parameters(live))]
     own: dict[str, Any] = {'run': str(arguments.run.absolute())}
     feeder, words = 'feed_node', common
     if arguments.paced:
@@ -89,13 +90,12 @@ def _feed(arguments: argparse.Namespace, recorded: RunData, live: Configuration,
                                 for word in ('-r', f'{old}:={name}'))]
     elif arguments.of is not None:
         own['of'] = '/' + arguments.of.strip('/')
-    write_node_parameters(feeding, own)
-    recording = folder / 'recording.yaml'
-    write_node_parameters(recording, {'directory': str(directory.absolute())})
+    feeding = files.add_parameters(own)
+    recording = files.add_parameters({'directory': str(directory.absolute())})
     with Nodes() as nodes:
-        nodes.start('recorder_node', [*common, '--params-file', str(recording)])
+        nodes.start('recorder_node', [*common, '--params-file', recording])
         nodes.start('controller_node', common)
-        nodes.start(feeder, [*words, '--params-file', str(feeding)])
+        nodes.start(feeder, [*words, '--params-file', feeding])
         codes = [nodes.wait(feeder), nodes.end('controller_node'), nodes.end('recorder_node')]
         if nodes.interrupted:
             return 130
@@ -117,11 +117,9 @@ def lines(found: Comparison) -> Iterator[str]:
                f't = {found.first.stamp:g} s: recorded {found.first.recorded!r}, live '
                f'{found.first.live!r}')
     if differing:
-        width = max(len(item.name) for item in differing)
-        yield f'{"term":<{width}}  {"samples":>8}  {"first seq":>9}  {"largest |Δ|":>12}'
-        for item in differing:
-            yield (f'{item.name:<{width}}  {item.differing:>8}  {item.first_seq:>9}  '
-                   f'{item.largest:>12.5g}')
+        yield from aligned([('term', 'samples', 'first seq', 'largest |Δ|'), *(
+            (item.name, str(item.differing), str(item.first_seq), f'{item.largest:.5g}')
+            for item in differing)])
     elif found.compared:
         yield (f'every command and every one of {len(found.terms)} terms '
                + ('is the same' if not found.tolerance else f'is within {found.tolerance:g}'))
@@ -136,15 +134,8 @@ def _notes(recorded: RunData) -> Iterator[str]:
     command = recorded.channels.get('command')
     if command is not None and len(command) and command['seq'][0] > 0.0:
         yield (f'the recording begins with command {command["seq"][0]:g}: the memory of the '
-               'controller before it is not in the run, the live one began anew')
-    stated = 0
-    for _, _, text in recorded.events:
-        try:
-            event = json.loads(text)
-        except ValueError:
-            continue
-        stated += (isinstance(event, dict) and event.get('event') == 'configuration'
-                   and 'controller' in (event.get('owns') or ()))
+               'controller before it is not in the run, the live one began without it')
+    stated = len(RunHistory.of(recorded).statements('controller'))
     if stated > 1:
         yield (f'the controller of the run stated its configuration {stated} times: the live one '
                'had the first')

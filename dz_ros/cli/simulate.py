@@ -1,23 +1,31 @@
-"""``dz simulate``: the loop off line; its samples to a CSV file, its run to a recording."""
+# SPDX-License-Identifier: Apache-2.0
+"""``dz simulate``: the offline loop; its samples to a CSV file, its run to a recording."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Mapping
 from pathlib import Path
 import sys
 import time
-from typing import TextIO
 
 import numpy as np
 
-from dz_ros.analysis.view import View
-from dz_ros.cli.offline import simulate_offline
-from dz_ros.cli.options import add_configuration, read_configuration
+from dz_ros.cli.offline import simulate_machine
+from dz_ros.cli.options import (
+    add_configuration,
+    read_machine,
+    refuse_existing,
+    require_folder,
+)
+from dz_ros.cli.output import print_lines, write_csv
 from dz_ros.cli.table import format_table, metric_rows, window_title
-from dz_ros.core.dataset import from_run
-from dz_ros.core.loop import Run
-from dz_ros.errors import ConfigurationError, RunExistsError
+from dz_ros.core.dataset import from_runs
+from dz_ros.core.loop.offline import Run
+from dz_ros.core.signals import TERM_NAMES
+from dz_ros.errors import ConfigurationError
+from dz_ros.report.view import View
+from dz_ros.runs.axes import each_axis
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,84 +33,61 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_configuration(parser)
     parser.add_argument('--csv', metavar='FILE',
                         help='write every sample: k, t, the true state, the reference, v, w, the '
-                             'estimates, s, s_eps; - is the standard output')
+                             "law's signals, its terms; - is the standard output")
     parser.add_argument('--record', type=Path, metavar='DIR',
                         help='write the run as a recording that dz and rosbag2 read')
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate; write what was asked for; print the metrics."""
-    configuration = read_configuration(arguments)
+    configuration = read_machine(arguments)
     to_stdout = arguments.csv == '-'
     csv = None if arguments.csv is None or to_stdout else Path(arguments.csv)
     if csv is not None:
-        _refuse_existing(csv, 'file')
-        _require_folder(csv)
+        refuse_existing(csv, 'file')
+        require_folder(csv)
     if arguments.record is not None:
-        _refuse_existing(arguments.record, 'directory')
+        refuse_existing(arguments.record)
         if csv is not None and csv.resolve() == arguments.record.resolve():
             raise ConfigurationError('--csv', str(csv), 'must not be the directory of --record')
-    done = simulate_offline(configuration)
-    data = from_run(done, time.time_ns())
+    done = simulate_machine(configuration)
+    data = from_runs(done, configuration, time.time_ns())
     if arguments.record is not None:
-        from dz_ros.recording.save import save_run
+        from dz_ros.recording.save import save_run, state_configuration
 
-        save_run(data, arguments.record)
+        memory = [number for item in configuration.each for number in item.law.initial_memory()]
+        save_run(state_configuration(data, memory), arguments.record)
     if csv is not None:
         with csv.open('x', encoding='ascii', newline='') as file:
-            write_csv(done, file)
+            write_csv(all_columns(done), file)
     if to_stdout:
-        write_csv(done, sys.stdout)
-    view = View.of(data)
-    print(format_table(window_title(view), metric_rows(view)),
-          file=sys.stderr if to_stdout else sys.stdout)
+        write_csv(all_columns(done), sys.stdout)
+    for name, run in each_axis(data).items():
+        view = View.of(run)
+        title = window_title(view)
+        print_lines(format_table(f'axis {name}: {title}' if name else title, metric_rows(view)),
+                    file=sys.stderr if to_stdout else sys.stdout)
     return 0
 
 
+def all_columns(runs: Mapping[str, Run]) -> dict[str, np.ndarray]:
+    """Return the CSV's columns of all axes: k and t once, the others as ``yaw.v``."""
+    found: dict[str, np.ndarray] = {}
+    for axis, run in runs.items():
+        found.update((name if name in ('k', 't') or not axis else f'{axis}.{name}', values)
+                     for name, values in columns(run).items())
+    return found
+
+
 def columns(run: Run) -> dict[str, np.ndarray]:
-    """Return the CSV's columns after k by name: t, x…, xd…, v, w, the law's signals, s, s_eps."""
+    """Return the CSV's columns by name: k, t, x…, xd…, v, w, the law's signals, its terms."""
     order = run.x.shape[1]
     return {
-        't': run.t,
+        'k': np.arange(len(run.t)), 't': run.t,
         **{f'x{i}': run.x[:, i] for i in range(order)},
         **{f'xd{i}': run.x_d[:, i] for i in range(order + 1)},
         'v': run.v,
         'w': run.truth[:, 0],
         **{name: run.column(name) for name in run.configuration.law.signal_names},
-        's': run.column('s'),
-        's_eps': run.column('s_eps'),
+        **{name: run.column(name) for name in TERM_NAMES},
     }
-
-
-def write_csv(run: Run, file: TextIO) -> None:
-    """Write a header and one line a sample, 17 significant digits: nothing is lost."""
-    table = columns(run)
-    file.write(','.join(('k', *table)) + '\n')
-    file.writelines(_lines(np.column_stack(list(table.values()))))
-
-
-def _lines(table: np.ndarray) -> Iterator[str]:
-    form = ','.join(['%d'] + ['%.17g'] * table.shape[1]) + '\n'
-    for k, row in enumerate(table.tolist()):
-        yield form % (k, *row)
-
-
-def _refuse_existing(path: Path, kind: str) -> None:
-    """Refuse to overwrite.
-
-    Raises:
-        RunExistsError: There is something of that name.
-    """
-    if path.exists() or path.is_symlink():
-        raise RunExistsError(f'{path}: exists already and is never overwritten; choose another '
-                             f'{kind}')
-
-
-def _require_folder(path: Path) -> None:
-    """Find out before computing anything whether a file could be written there.
-
-    Raises:
-        NotADirectoryError: Its folder does not exist.
-    """
-    if not path.absolute().parent.is_dir():
-        raise NotADirectoryError(20, 'no such directory', str(path.absolute().parent))

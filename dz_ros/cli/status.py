@@ -1,4 +1,5 @@
-"""``dz status``: what the nodes of running loops say of themselves, live."""
+# SPDX-License-Identifier: Apache-2.0
+"""``dz status``: the diagnostics of the nodes of running loops, live."""
 
 from __future__ import annotations
 
@@ -9,37 +10,43 @@ import threading
 import time
 from typing import Any
 
-from dz_ros.cli.operator import operator
+from dz_ros.cli.operator import add_remapping, operator
+from dz_ros.cli.output import print_lines
 
 LEVELS = ('ok', 'WARN', 'ERROR', 'STALE')
 GONE = 3.0
-"""A node not heard of for so long is shown as stale [s]."""
+"""A node without diagnostics for longer is shown as stale [s]."""
+MAX_NODES = 64
+"""Nodes that are shown; any process may publish diagnostics under any number of names."""
 SHORT = ('mode', 'rate [Hz]', 'period p99 [ms]', 'round trip p99 [ms]',
          'state to command p99 [ms]', 'late by more than 1 ms', 'max |error|', 'max |s|/epsilon',
-         'command in force', 'messages waiting', 'messages lost')
+         'applied command', 'messages waiting', 'messages lost')
 """What is shown without --all."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument('--once', action='store_true',
-                        help='print what is heard in three seconds and end; exit code 1 where a '
-                             'node is in error or none is heard')
+                        help='print what is received in three seconds and end; exit code 1 where '
+                             'a node is in error or there is none')
+    add_remapping(parser)
     parser.add_argument('--all', action='store_true', help='every value, not the chief ones')
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Show until interrupted, or once."""
-    heard: dict[str, dict[str, Any]] = {}
+    received: dict[str, dict[str, Any]] = {}
     first: list[float] = []
     terminal = sys.stdout.isatty()
-    with operator('status') as process:
+    with operator('status', remappings=arguments.remap) as process:
         def read() -> None:
             assert process.stdout is not None
             for line in process.stdout:
                 status = json.loads(line)
-                heard[status['node']] = {**status, 'at': time.monotonic()}
-                first.append(heard[status['node']]['at'])
+                if status['node'] not in received and len(received) >= MAX_NODES:
+                    continue
+                received[status['node']] = {**status, 'at': time.monotonic()}
+                first.append(received[status['node']]['at'])
 
         reader = threading.Thread(target=read, daemon=True)
         reader.start()
@@ -54,27 +61,33 @@ def run(arguments: argparse.Namespace) -> int:
                 shown = now
                 if terminal:
                     print('\x1b[2J\x1b[H', end='')
-                print(_table(dict(heard), arguments.all, now), flush=True)
+                print_lines(_table(dict(received), arguments.all, now))
+                sys.stdout.flush()
         code = process.poll()
     if code:
         return code
     if arguments.once:
-        print(_table(heard, arguments.all, time.monotonic()))
-        return 1 if not heard or any(item['level'] > 1 for item in heard.values()) else 0
+        print_lines(_table(received, arguments.all, time.monotonic()))
+        return 1 if not received or any(item['level'] > 1 for item in received.values()) else 0
     return 0
 
 
-def _table(heard: dict[str, dict[str, Any]], everything: bool, now: float) -> str:
-    """Return the nodes, worst word first, their values below them."""
-    if not heard:
-        return 'no node is heard: is a loop running in this ROS_DOMAIN_ID?'
-    lines = []
-    for name, status in sorted(heard.items()):
+def _table(received: dict[str, dict[str, Any]], everything: bool, now: float) -> list[str]:
+    """Return the nodes, worst word first, their values below them, a line each."""
+    if not received:
+        return ['no node publishes diagnostics: is a loop running in this ROS_DOMAIN_ID?']
+    lines = [f'only the first {MAX_NODES} nodes are shown'] if len(received) >= MAX_NODES else []
+    for name, status in sorted(received.items()):
         age = now - status['at']
         level = LEVELS[3] if age > GONE else LEVELS[min(status['level'], 3)]
-        said = f'not heard for {age:.0f} s' if age > GONE else status['message']
-        lines.append(f'{level:5}  {name}: {said}')
+        text = f'silent for {age:.0f} s' if age > GONE else status['message']
+        lines.append(f'{level:5}  {name}: {text}')
         values = status['values']
         lines += [f'         {key:32} {value:>12}' for key, value in values.items()
-                  if everything or key in SHORT or key.startswith('ignored')]
-    return '\n'.join(lines)
+                  if everything or plain(key) in SHORT or key.startswith('ignored')]
+    return lines
+
+
+def plain(key: str) -> str:
+    """Return the label of a value without the axis that may stand before it."""
+    return key.partition(': ')[2] or key

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``dz sweep``: thousands of runs over any keys of a configuration; ``dz sweep plot``: their maps.
 
 A sweep goes on where it was ended: the same command again does what is missing.
@@ -9,10 +10,12 @@ import argparse
 from pathlib import Path
 import sys
 
-from dz_ros.analysis.report import write_files
+from dz_ros.cli.interrupt import INTERRUPTED, prompt_end
+from dz_ros.cli.interrupt import line as interrupt_line
 from dz_ros.cli.options import add_configuration, read_configuration
 from dz_ros.cli.progress import Progress
 from dz_ros.errors import ConfigurationError
+from dz_ros.report.report import write_files
 from dz_ros.studies.outcome import require_end
 from dz_ros.studies.sweep import read_sweep, run_sweep
 from dz_ros.studies.sweep_pictures import pictures
@@ -74,7 +77,17 @@ def run(arguments: argparse.Namespace) -> int:
         require_end(configuration)
     plan.check()
     progress = Progress(len(plan), arguments.quiet)
-    lost = run_sweep(plan, out, arguments.jobs, arguments.cluster, progress, progress.resume)
+
+    def kept() -> str:
+        return f'{progress.done} of {len(plan)} runs are kept; the same command goes on'
+
+    try:
+        with prompt_end(kept):
+            lost = run_sweep(plan, out, arguments.jobs, arguments.cluster, progress,
+                             progress.resume)
+    except KeyboardInterrupt:
+        print(interrupt_line(kept()), file=sys.stderr)
+        return INTERRUPTED
     print(f'{out}: {len(plan)} runs, {lost} of them lost')
     return 0
 

@@ -1,10 +1,12 @@
-"""Numbers of a run as text: the metrics one below the other, the five that tell most."""
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of a run as text: the metrics one below the other, the five most important."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dz_ros.analysis.view import View
+from dz_ros.cli.output import aligned
+from dz_ros.report.view import View
 
 Row = tuple[str, str, str]
 """Label, number, unit."""
@@ -16,7 +18,7 @@ def metric_rows(view: View) -> list[Row]:
     """Return every metric that the run has a number for."""
     rows = []
     for name, about in view.metrics.described():
-        value = getattr(view.metrics, name)
+        value = view.metrics.shown(name)
         if value is not None:
             rows.append((about['label'], f'{value:.5g}', _unit(view, about['unit'])))
     return rows
@@ -27,15 +29,15 @@ def five_rows(view: View) -> list[Row]:
     metrics, timing = view.metrics, view.timing
     state = timing.topics.get('state')
     within = state.within if state is not None and timing.judged else None
-    lost = sum(topic.sequence.lost for topic in timing.topics.values())
+    missing = sum(topic.sequence.missing for topic in timing.topics.values())
     latency = timing.latencies.get('publish', timing.latencies.get('log'))
     judged = latency if timing.judged else None
     period = f' of {timing.period * 1e3:g} ms' if timing.period is not None else ''
     return [
-        ('max |x̃|', _number(metrics.error_max), _unit(view, 'x0')),
+        ('max |x̃|', _number(metrics.error_max), _unit(view, 'x')),
         ('total variation of v', _number(metrics.v_variation), _unit(view, 'v/s') or '1/s'),
         (f'periods within 1 ms{period}', _number(within, 100.0), '%'),
-        ('samples lost, all topics', str(lost), ''),
+        ('messages missing, all topics', str(missing), ''),
         ('state to command, p99', _number(judged.p99 if judged else None, 1e3), 'ms'),
     ]
 
@@ -47,18 +49,9 @@ def window_title(view: View) -> str:
             f'{view.setting.mode or "unknown mode"}; window {begin:g} s to {end:g} s')
 
 
-def format_table(title: str, rows: Sequence[Row]) -> str:
-    """Return the rows below a title, numbers right-aligned."""
-    label = max(len(_visible(row[0])) for row in rows)
-    number = max(len(row[1]) for row in rows)
-    lines = [f'  {text}{" " * (label - len(_visible(text)))}  {value:>{number}}  {unit}'.rstrip()
-             for text, value, unit in rows]
-    return '\n'.join([title, *lines])
-
-
-def _visible(text: str) -> str:
-    """Return the text without combining marks, which take no column of their own."""
-    return text.replace('\N{COMBINING TILDE}', '')
+def format_table(title: str, rows: Sequence[Row]) -> list[str]:
+    """Return the rows below a title, a line each, numbers right-aligned."""
+    return [title, *aligned(rows, (0, 2), '  ')]
 
 
 def _number(value: float | None, factor: float = 1.0) -> str:

@@ -1,19 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
 """``dz tune``: gains proposed from what is known, and what they give in simulation."""
 
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
+import sys
 from typing import Any
 
-from dz_ros.analysis.metrics import jsonable
-from dz_ros.cli.options import add_configuration, read_configuration
+from dz_ros.cli.interrupt import prompt_end
+from dz_ros.cli.options import add_configuration, configuration_overrides, read_machine
+from dz_ros.cli.output import print_json
+from dz_ros.core.axes_keys import axis_key
 from dz_ros.errors import ConfigurationError
-from dz_ros.files import write_parameters
+from dz_ros.files.configurations import flat_parameters, write_parameters
+from dz_ros.runs.metrics import jsonable
 from dz_ros.studies.outcome import require_end
 from dz_ros.studies.tune import Proposal, tune
 
+BOUNDS = tuple(f'controller.{name}_bounds' for name in ('b_r', 'b_l', 'm', 'b'))
 NUMBERS = (('error_max', 'max |x̃|'), ('v_variation', 'TV of v per s'),
            ('v_peak_run', 'peak |v|'), ('omega', 'share in Ω_ε'))
 
@@ -40,17 +45,49 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.out is not None and arguments.out.exists():
         raise ConfigurationError('--out', str(arguments.out),
                                  'exists already; choose another file')
-    configuration = read_configuration(arguments)
+    configuration = read_machine(arguments)
     require_end(configuration)
-    found = tune(configuration, arguments.effort, arguments.disturbance)
+    _require_bounds(arguments)
+    if sys.stderr.isatty():
+        print('simulating candidates, some seconds' + (' for each axis' if configuration.axes
+                                                       else ''), file=sys.stderr)
+    with prompt_end():
+        found = {name: tune(item, arguments.effort, arguments.disturbance)
+                 for name, item in configuration.axes or (('', configuration),)}
     if arguments.json:
-        print(json.dumps(jsonable({'proposed': dict(changes(found)), 'why': found.reasons,
-                                   'simulated': found.rows}), ensure_ascii=False, indent=2))
+        each = {name: jsonable({'proposed': dict(changes(item)), 'why': item.reasons,
+                                'simulated': item.rows}) for name, item in found.items()}
+        print_json(each.get('', {'axes': each}))
     else:
-        print(format_proposal(found))
+        print('\n\n'.join(format_proposal(item) if not name else
+                          f'== axis {name}\n{format_proposal(item)}'
+                          for name, item in found.items()))
     if arguments.out is not None:
-        write_parameters(found.after, arguments.out)
+        write_parameters(found[''].after if '' in found else configuration.replace(
+            **{axis_key(name, key): value for name, item in found.items()
+               for key, value in changed_keys(item).items()}), arguments.out)
     return 0
+
+
+def changed_keys(found: Proposal) -> dict[str, Any]:
+    """Return the keys whose values the proposal changes, with the values it proposes."""
+    before = found.before.to_flat()
+    return {key: value for key, value in found.after.to_flat().items()
+            if before.get(key) != value}
+
+
+def _require_bounds(arguments: argparse.Namespace) -> None:
+    """Refuse a configuration without the bounds that gains follow from."""
+    given = {**flat_parameters(arguments.config, (), arguments.namespace),
+             **flat_parameters(None, configuration_overrides(arguments))}
+    names = given.get('loop.axes') if arguments.axis is None else [arguments.axis]
+    own = [[axis_key(name, key) for name in names] if isinstance(names, list) else []
+           for key in BOUNDS]
+    lacking = [key for key, of_axes in zip(BOUNDS, own, strict=True)
+               if key not in given and not (of_axes and all(item in given for item in of_axes))]
+    if lacking:
+        raise ConfigurationError(lacking[0], None, f'gains follow from bounds: give '
+                                 f'{", ".join(lacking)} in the file or with --set')
 
 
 def changes(found: Proposal) -> list[tuple[str, Any]]:
@@ -60,7 +97,7 @@ def changes(found: Proposal) -> list[tuple[str, Any]]:
 
 
 def format_proposal(found: Proposal) -> str:
-    """Return the proposal as text: values with reasons, then what simulation says of them."""
+    """Return the proposal as text: values with reasons, then the simulated numbers."""
     before = found.before.to_flat()
     lines = [f'{found.after.law.name} on {found.after.plant.name}, {found.after.loop.rate:g} Hz']
     for key, value in changes(found):

@@ -1,20 +1,20 @@
-"""A run as arrays: what recordings are read into and what analysis works on.
-
-The same shape whether the run was recorded from topics, replayed, or simulated: channels of
-records, each a table whose columns are the record's labels.
-"""
+# SPDX-License-Identifier: Apache-2.0
+"""A run as arrays: channels of records, the same whether recorded, replayed or simulated."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dz_ros.core.loop import Run
-from dz_ros.core.records import Command, Reference, State, STATUS, Terms, Truth
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.loop.offline import Run
+from dz_ros.core.records import Command, Reference, State, Terms, Truth
+from dz_ros.core.signals import STATUS
+from dz_ros.errors import MissingLabelError
 
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -24,27 +24,50 @@ Times = NDArray[np.int64]
 class Channel:
     """All messages of one topic, in the order received.
 
+    Of a loop of several axes a row holds the numbers of all of them, one axis after the other:
+    shape (N, n len(labels)). `axis` gives the channel of one; a column asked for by its name is
+    that of the first axis, where seq and stamp are those of all.
+
     Attributes:
         labels: Column names, from the record's ``labels``.
         values: One row a message, shape (N, len(labels)).
-        log_time: When the recorder received each message [ns since the epoch], shape (N,).
-        publish_time: When it was published [ns since the epoch], shape (N,).
+        log_time, publish_time: When each was recorded, published [ns since the epoch], shape (N,).
+        axes: Names of the axes; empty: one, without a name.
     """
 
     labels: tuple[str, ...]
     values: Array
     log_time: Times
     publish_time: Times
+    axes: tuple[str, ...] = ()
+
+    def axis(self, name: str) -> Channel:
+        """Return the channel of one axis, a view of the same numbers.
+
+        Raises:
+            ValueError: There is no such axis.
+        """
+        width = len(self.labels)
+        begin = self.axes.index(name) * width
+        return Channel(self.labels, self.values[:, begin:begin + width], self.log_time,
+                       self.publish_time)
 
     def __getitem__(self, label: str) -> Array:
         """Return one column, shape (N,).
 
         Raises:
-            KeyError: No such column.
+            MissingLabelError: No such column.
         """
         if label not in self.labels:
-            raise KeyError(f'{label}: this channel has {", ".join(self.labels)}')
+            raise MissingLabelError(f'records without {label}: they carry '
+                                    f'{", ".join(self.labels[:20])}')
         return self.values[:, self.labels.index(label)]
+
+    def table(self, labels: Sequence[str]) -> Array:
+        """Return columns in the order asked for, shape (N, …); NaN where there is none."""
+        blank = np.full(len(self.values), np.nan)
+        return np.column_stack([blank[:, None][:, :0], *(
+            self[label] if label in self.labels else blank for label in labels)])
 
     def __len__(self) -> int:
         """Return the number of messages."""
@@ -56,11 +79,10 @@ class RunData:
     """A whole run.
 
     Attributes:
-        channels: Record name (reference, state, command, terms, truth) → channel; a name is
-            missing where the run has no such channel.
-        configuration: Dotted key → value, as run; empty where the run does not say.
+        channels: Record name (reference, state, command, terms, truth) → channel, those it has.
+        configuration: Dotted key → value, as run; empty = unknown.
         info: What else is known: mode, host, versions, seed, …
-        events: (log_time [ns], node, text) of everything that happened, in order.
+        events: (log_time [ns], node, text) in order.
     """
 
     channels: Mapping[str, Channel]
@@ -68,11 +90,16 @@ class RunData:
     info: Mapping[str, str] = field(default_factory=dict)
     events: tuple[tuple[int, str, str], ...] = ()
 
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of the axes; empty: one, without a name (`dz_ros.runs.axes` gives one of them)."""
+        return next((channel.axes for channel in self.channels.values() if channel.axes), ())
+
 
 def from_run(run: Run, start_ns: int = 0) -> RunData:
     """Return a simulated run as channels; sample k is logged at start_ns + t_k.
 
-    Each state echoes the command of the sample before it, as a loop without transport would.
+    Each state echoes the command of the sample before it.
     """
     c = run.configuration
     count = len(run.t)
@@ -96,3 +123,23 @@ def from_run(run: Run, start_ns: int = 0) -> RunData:
                          run.terms[:, STATUS + 1:]),
         'truth': channel(Truth.labels(), seq, run.t, run.truth),
     }, c.to_flat(), {'mode': 'offline'})
+
+
+def from_runs(runs: Mapping[str, Run], configuration: Configuration,
+              start_ns: int = 0) -> RunData:
+    """Return the simulated loops of all axes as one run; of one axis that of `from_run`.
+
+    Args:
+        runs: Axis → its loop, all of the same duration; one axis is called ''.
+        configuration: That of the machine.
+        start_ns: When sample 0 is logged [ns since the epoch].
+    """
+    each = {name: from_run(run, start_ns) for name, run in runs.items()}
+    first = next(iter(each.values()))
+    if len(each) == 1:
+        return replace(first, configuration=configuration.to_flat())
+    channels = {}
+    for topic, channel in first.channels.items():
+        values = np.column_stack([data.channels[topic].values for data in each.values()])
+        channels[topic] = replace(channel, values=values, axes=tuple(each))
+    return RunData(channels, configuration.to_flat(), first.info)

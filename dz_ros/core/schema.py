@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One schema for configuration files, ROS parameters, command-line overrides and sweeps.
 
 A group of parameters is a frozen dataclass whose fields are made by `parameter`: default, unit,
@@ -19,6 +20,7 @@ from functools import cache
 import math
 from typing import Any, get_type_hints, TypeVar
 
+from dz_ros.core.renamed import KEYS
 from dz_ros.errors import ConfigurationError
 
 Group = TypeVar('Group')
@@ -27,14 +29,12 @@ _SPEC = 'dz_ros.parameter'
 
 @dataclass(frozen=True)
 class Spec:
-    """What is known of one parameter besides its name and type.
+    """Everything of a parameter but its name and type.
 
     Attributes:
-        unit: Unit in brackets' contents, ``'1'`` for dimensionless, ``''`` for names and flags.
+        unit: ``'1'`` for dimensionless, ``''`` for names and flags.
         description: One sentence.
-        minimum: Smallest value allowed, inclusive unless `open_minimum`.
-        maximum: Largest value allowed, inclusive.
-        open_minimum: True where the minimum itself is not allowed.
+        minimum, maximum: Range allowed, inclusive; the minimum is excluded with `open_minimum`.
         choices: The only strings allowed; empty = any.
         length: The only length allowed of an array; 0 = any.
         structural: True where the value cannot change while a loop runs (order, model, rate).
@@ -50,7 +50,7 @@ class Spec:
     structural: bool = False
 
     def range_text(self) -> str:
-        """Return what is allowed, in words, or an empty string."""
+        """Return what is allowed as text, or an empty string."""
         if self.choices:
             return 'one of ' + ', '.join(self.choices)
         low = '' if self.minimum == -math.inf else (
@@ -71,15 +71,7 @@ class Field:
 
 
 def parameter(default: Any, unit: str, description: str, **rules: Any) -> Any:
-    """Declare a parameter of a frozen dataclass.
-
-    Args:
-        default: Default value; arrays are tuples.
-        unit: Unit, ``'1'`` if dimensionless, ``''`` for names and flags.
-        description: One sentence, shown by ``ros2 param describe`` and in error messages.
-        **rules: Further fields of `Spec` (minimum, maximum, open_minimum, choices, length,
-            structural).
-    """
+    """Declare a parameter of a frozen dataclass; `rules` are further fields of `Spec`."""
     return dataclasses.field(default=default, metadata={_SPEC: Spec(unit, description, **rules)})
 
 
@@ -100,7 +92,7 @@ def is_group(group: Any) -> bool:
     try:
         fields(group)
         return isinstance(group, type) and bool(vars(group)['__dataclass_params__'].frozen)
-    except Exception:  # noqa: BLE001  somebody else's class
+    except Exception:  # noqa: BLE001  a user's own class
         return False
 
 
@@ -147,34 +139,51 @@ def check_value(field: Field, value: Any, key: str) -> Any:
         ConfigurationError: Wrong type, not finite, out of range or not among the choices.
     """
     spec = field.spec
-    unit = f' [{spec.unit}]' if spec.unit not in ('', '1') else ''
-    limits = spec.range_text()
-    wanted = f'must be {_WORDS[field.kind]}{" " + limits if limits else ""}{unit}'
-    if spec.choices and field.kind == 'str':
-        wanted = f'must be {limits}'
     try:
         converted = _convert(field.kind, value)
     except (TypeError, OverflowError):
-        raise ConfigurationError(key, value, wanted) from None
+        raise ConfigurationError(key, value, _wanted(field)) from None
     if spec.choices and field.kind == 'str' and converted not in spec.choices:
-        raise ConfigurationError(key, value, wanted)
+        raise ConfigurationError(key, value, _wanted(field))
     if field.kind in ('float', 'int', 'floats'):
         for number in converted if field.kind == 'floats' else (converted,):
             too_low = number <= spec.minimum if spec.open_minimum else number < spec.minimum
             if too_low or number > spec.maximum:
-                raise ConfigurationError(key, value, wanted)
+                raise ConfigurationError(key, value, _wanted(field))
     if spec.length and len(converted) != spec.length:
-        raise ConfigurationError(key, value, f'must be a list of {spec.length} numbers{unit}')
+        raise ConfigurationError(key, value,
+                                 f'must be a list of {spec.length} numbers{_unit(spec)}')
     return converted
 
 
+def _wanted(field: Field) -> str:
+    """Return what a value of a field must be, as text."""
+    limits = field.spec.range_text()
+    if field.spec.choices and field.kind == 'str':
+        return f'must be {limits}'
+    return f'must be {_WORDS[field.kind]}{" " + limits if limits else ""}{_unit(field.spec)}'
+
+
+def _unit(spec: Spec) -> str:
+    return f' [{spec.unit}]' if spec.unit not in ('', '1') else ''
+
+
 def unknown_key(key: str, value: Any, known: Iterable[str]) -> ConfigurationError:
-    """Return the error for a key nobody declares, with the nearest known one."""
+    """Return the error for an undeclared key, with the nearest known one."""
+    if key in KEYS:
+        return ConfigurationError(key, value, f'is called {KEYS[key]} now')
     names = sorted(known)
     section = key.rpartition('.')[0] + '.' if '.' in key else ''
+    close = 0.6
+    if section and not any(name.startswith(section) for name in names):
+        section, close = '', 0.8
     own = {name.removeprefix(section): name for name in names}  # a common prefix is no likeness
-    near = difflib.get_close_matches(key.removeprefix(section), own, n=1)
-    hint = f'did you mean {own[near[0]]}?' if near else 'known: ' + ', '.join(names)
+    near = difflib.get_close_matches(key.removeprefix(section), own, 1, close)
+    if '.' not in key:      # a name without its section
+        own = {name.rpartition('.')[2]: name for name in reversed(names)}
+        near = difflib.get_close_matches(key, own, n=1)
+    hint = (f'did you mean {own[near[0]]}?' if near else 'see dz list keys' if len(names) > 100
+            else 'known: ' + ', '.join(names))
     return ConfigurationError(key, value, f'unknown key; {hint}')
 
 

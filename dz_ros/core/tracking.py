@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tracking error, filtered error and the boundary layer, (8), (10), (11), (17) of [wang2004].
 
     x̃ = x − x_d
@@ -23,6 +24,16 @@ def sat(z: float) -> float:
     return z
 
 
+def shown_position(x: float, x_d: float, band: float) -> float:
+    """Return x less the part of x − x_d within ±band, what a law is shown of it (ours)."""
+    error = x - x_d
+    if error > band:
+        return x - band
+    if error < -band:
+        return x + band
+    return x_d
+
+
 def error_weights(lambda_: float, order: int) -> tuple[float, ...]:
     """Return Λ, the binomial weights of (8), shape (order,)."""
     return tuple(math.comb(order - 1, i) * lambda_ ** (order - 1 - i) for i in range(order))
@@ -35,7 +46,7 @@ def feed_forward_weights(lambda_: float, order: int) -> tuple[float, ...]:
 
 def filtered_error(c: Sequence[float], at: int, x_d: Sequence[float],
                    x: Sequence[float]) -> float:
-    """Return s = Λᵀ x̃, (8); Λ stands in c from index `at` on."""
+    """Return s = Λᵀ x̃, (8); Λ is in c from index `at` on."""
     s = 0.0
     for i in range(len(x)):
         s += c[at + i] * (x[i] - x_d[i])
@@ -43,7 +54,7 @@ def filtered_error(c: Sequence[float], at: int, x_d: Sequence[float],
 
 
 def feed_forward(c: Sequence[float], at: int, x_d: Sequence[float], x: Sequence[float]) -> float:
-    """Return u_fd = x_d^(n) − Λ_vᵀ x̃, (17); Λ_v stands in c from index `at` on."""
+    """Return u_fd = x_d^(n) − Λ_vᵀ x̃, (17); Λ_v is in c from index `at` on."""
     u_fd = x_d[len(x)]
     for i in range(len(x)):
         u_fd -= c[at + i] * (x[i] - x_d[i])

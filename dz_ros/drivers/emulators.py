@@ -1,4 +1,5 @@
-"""Stand-ins for devices: processes of their own that answer a driver as a real device would.
+# SPDX-License-Identifier: Apache-2.0
+"""Emulators of devices: processes of their own that answer a driver as a real device would.
 
 An emulator has the configured plant behind its dead-zone, and faults on a script, so that a
 driver and the loop behind it can be tried without hardware. ``dz driver emulate KIND`` starts
@@ -25,12 +26,12 @@ _FAULT = re.compile(rf'(?P<name>[a-z-]+)@(?P<start>{_NUMBER})(?:\+(?P<duration>{
 
 @dataclass(frozen=True)
 class Fault:
-    """Something that goes wrong, on a script.
+    """A scripted fault.
 
     Attributes:
         name: One of the emulator's `faults`.
-        start: When, from the first command that moves the device on [s].
-        duration: How long [s].
+        start: From the first command that moves the device on [s].
+        duration: [s].
         value: What the fault needs besides, e.g. a probability or a code; NaN = not given.
     """
 
@@ -61,12 +62,12 @@ class Fault:
 
 
 class Emulator(ABC):
-    """A stand-in for a device.
+    """An emulated device.
 
     Args:
         parameters: The emulator's own, checked.
         configuration: The plant behind it, and the rest.
-        faults: What goes wrong, and when.
+        faults: The script.
 
     Attributes:
         name: Name, that of the driver it is for.
@@ -88,19 +89,19 @@ class Emulator(ABC):
 
     @abstractmethod
     def open(self) -> str:
-        """Be there; return how a driver finds it, in words for the user.
+        """Begin to answer; return as text how a driver finds it.
 
         Raises:
-            DriverError: It cannot be.
+            DriverError: It cannot.
         """
 
     @abstractmethod
-    def run(self, stopping: Callable[[], bool], say: Callable[[str], None]) -> None:
-        """Be the device until told to stop; say what happens to it."""
+    def run(self, stopping: Callable[[], bool], log: Callable[[str], None]) -> None:
+        """Emulate the device until `stopping` returns True; log what happens to it."""
 
     @abstractmethod
     def close(self) -> None:
-        """Be gone."""
+        """Answer no more."""
 
 
 EMULATORS = Registry('emulator', 'KIND', 'dz_ros.emulators', Emulator, {

@@ -1,62 +1,99 @@
-"""A driver as its host holds it: calls in order, and nothing it raises ends the loop (ours).
+# SPDX-License-Identifier: Apache-2.0
+"""A driver as an actuator's node and the conformance kit hold it (ours).
 
-The twin without ROS of what ``nodes/hosting.py`` does with its topics; the conformance kit holds
-drivers the same way. What this adds to a driver:
+Calls come in order, and nothing the driver raises ends the loop. What this adds to a driver:
 
-- commands clipped to its `limit`, and how many were;
+- commands clipped to its `limit`, and their number;
 - a measurement that is absent, of another length or not finite is none; after
-  `safety.state_hold` such samples in a row, once there has been one, the driver is in trouble;
-- the velocity of one that measures positions only (``core/observer.py``);
-- whatever its code raises while the loop runs is trouble, in words, and ends no process;
+  `safety.state_hold` such samples in a row, once there has been one, the driver has a fault;
+- the velocity of one that measures positions only (``core/observers``);
+- whatever its code raises while the loop runs is a fault, as text, and ends no process;
 - `close` for each `open`, `disable` for each `enable`, also after a failure;
-- how long its calls took: a driver must not wait for its device.
+- the duration of its calls: a driver must not wait for its device.
+
+Over 300 lines: everything a driver is spared.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 import math
+from pathlib import Path
 import time
 from typing import Any, TypeVar
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.driver import Driver
-from dz_ros.core.observer import VelocityObserver
+from dz_ros.core.design.observation import observer_of
 from dz_ros.core.records import Reference, Truth
 from dz_ros.core.safety.health import Level, Report, SATURATED_SHARE
-from dz_ros.drivers.telling import checked, told
+from dz_ros.core.text import printable
+from dz_ros.drivers.contract import Driver
 from dz_ros.errors import ConfigurationError, DriverError, DzRosError, LoopError
 
-SLOW = 0.5
+SLOW_CALL_SHARE = 0.5
 """A call that takes more than this share of a period is counted as slow."""
+LONGEST_FAULT = 600
+"""Characters of a fault that are passed on: its words may be the device's."""
+_AT_ONCE = ('command', 'safe', 'advance', 'measure', 'fault')
+
+KEPT_REFERENCES = 256
+"""References kept: in lockstep they are sent that far ahead at most."""
+SAME_INSTANT = 1e-9
+"""Instants closer than this are one [s]."""
 
 Result = TypeVar('Result')
 
 
+def error_text(name: str, error: Exception) -> str:
+    """Return an exception of a driver's code in one line, with the place where it was raised."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_next is not None:
+        trace = trace.tb_next
+    place = '' if trace is None else (f' ({Path(trace.tb_frame.f_code.co_filename).name}, '
+                                      f'line {trace.tb_lineno})')
+    return f'{name}: {type(error).__name__}: {" ".join(str(error).split())}{place}'
+
+
+def checked(name: str, call: Callable[[], Result]) -> Result:
+    """Return what a call of a driver's code returns.
+
+    Raises:
+        DriverError: It raised something else than our errors.
+    """
+    try:
+        return call()
+    except DzRosError:
+        raise
+    except Exception as error:
+        raise DriverError(error_text(name, error)) from error
+
+
 class HostedDriver:
-    """Holds a driver.
+    """Holds the driver that a configuration names.
 
     Args:
-        configuration: Says which, and what of.
+        configuration: What it is for.
+        driver: The driver, where it was made together with those of other axes.
 
     Attributes:
         driver: The driver itself.
         enabled: Whether it takes commands.
-        measured: How many of x, x', … it measures.
+        measured: Number of the states x, x', … that it measures.
         observing: Whether its velocity is observed.
         commands: Commands given since the start.
         saturated: Those beyond its limit.
         missed: Samples without a measurement.
         bad: Those of them whose measurement was not finite or of another length.
-        slow: Calls that took more than `SLOW` of a period.
+        slow: Calls that took more than `SLOW_CALL_SHARE` of a period.
         slowest: The longest call since the last report [s].
 
     Raises:
-        ConfigurationError: It measures too little for the plant's order, or cannot tell.
+        ConfigurationError: It measures too little for the plant's order, or its number is unknown.
     """
 
-    def __init__(self, configuration: Configuration) -> None:
-        self.driver: Driver = configuration.make_driver()
+    def __init__(self, configuration: Configuration, driver: Driver | None = None) -> None:
+        self.driver: Driver = configuration.make_driver() if driver is None else driver
         self.commands = self.saturated = self.missed = self.bad = self.slow = 0
         self.slowest = 0.0
         order = configuration.plant.order
@@ -69,17 +106,21 @@ class HostedDriver:
                                      f"x, x', …; a plant of order {order} needs {order}, or "
                                      f'{order - 1} and the observer')
         self.measured, self.observing = measured, measured < order
-        self._observer = VelocityObserver(configuration.driver_settings.observer)
+        self._observer = observer_of(configuration)
         self._configuration = configuration
-        self._slow = SLOW * configuration.loop.period
-        self._reference: Reference | None = None
+        self._slow = SLOW_CALL_SHARE * configuration.loop.period
+        self._references: deque[Reference] = deque(maxlen=KEPT_REFERENCES)
+        self._followed = False
         self._measured_at: float | None = None
         self._missing = 0
         self._failure = ''
         self._opened = self.enabled = False
         self._window = (0, 0)
 
-    # Its life.
+    @property
+    def safe_command(self) -> float:
+        """Command where the law must not act [command unit]."""
+        return self._configuration.safety.safe_command
 
     def open(self, node: Any = None) -> None:
         """Attach it to a node, if there is one, and open it.
@@ -135,28 +176,21 @@ class HostedDriver:
     def configure(self, configuration: Configuration) -> None:
         """Use other limits and parameters from now on."""
         self._configuration = configuration
-        self._observer.omega = configuration.driver_settings.observer
+        self._observer.omega = observer_of(configuration).omega
         self._attempt('configure', lambda: self.driver.configure(configuration))
 
-    # Each sample.
-
     def reference(self, reference: Reference) -> None:
-        """Hear the reference whose x_d^(n) the observer takes for the acceleration."""
-        self._reference = reference
+        """Keep the reference for the observer."""
+        self._references.append(reference)
 
     @property
     def limit(self) -> float:
         """Largest |v| it takes [command unit].
 
         Raises:
-            DriverError: It cannot tell, whatever its code raised.
+            DriverError: It is not known, whatever its code raised.
         """
-        try:
-            limit = float(self.driver.limit)
-        except DzRosError:
-            raise
-        except Exception as error:
-            raise DriverError(told('limit', error)) from error
+        limit = checked('limit', lambda: float(self.driver.limit))
         if not limit >= 0.0:
             raise DriverError(f'limit {limit:g} must be >= 0')
         return limit
@@ -164,7 +198,7 @@ class HostedDriver:
     def command(self, v: float, t: float) -> float:
         """Give it a command, no larger than its limit; return what it was given.
 
-        One that cannot tell its limit is in trouble and is given the safe command.
+        One whose limit is not known has a fault and is given the safe command.
         """
         self.commands += 1
         limit = self._known_limit()
@@ -177,10 +211,7 @@ class HostedDriver:
         return clipped
 
     def safe(self, v: float, t: float) -> None:
-        """Have it go to its safe state; nothing where it is not enabled.
-
-        The safe command goes out also where the limit cannot be told.
-        """
+        """Have it go to its safe state, also where its limit is not known, if it is enabled."""
         if not self.enabled:
             return
         limit = self._known_limit()
@@ -206,74 +237,103 @@ class HostedDriver:
             if len(found) != self.measured or not all(map(math.isfinite, found)):
                 self.bad += 1
                 found = None
+        if found is not None and self.observing:
+            found = self._observed(found, t)
         if found is None:
             self.missed += 1
             self._missing += self._measured_at is not None
             return None
         self._missing = 0
-        if self.observing:
-            interval = 0.0 if self._measured_at is None else t - self._measured_at
-            found = (*found, self._observer.step(found[-1], self._acceleration(t), interval))
         self._measured_at = t
         return found
 
-    def trouble(self) -> str:
-        """Return what is wrong with it, in words; '' = nothing."""
-        said = self._attempt('trouble', self.driver.trouble)
+    def _observed(self, found: tuple[float, ...], t: float) -> tuple[float, ...] | None:
+        """Return a measurement with the velocity observed; None where that is not finite.
+
+        An observer that a reference without sense has led there begins again.
+        """
+        interval = 0.0 if self._measured_at is None else t - self._measured_at
+        try:
+            velocity = self._observer.step(found[-1], self._followed_at(t), interval)
+        except ArithmeticError:
+            velocity = math.nan
+        if math.isfinite(velocity):
+            return (*found, velocity)
+        self.bad += 1
+        self._observer.restart()
+        return None
+
+    def fault(self) -> str:
+        """Return what is wrong with it, as text; '' = nothing."""
+        found = self._attempt('fault', self.driver.fault)
         hold = self._configuration.safety.state_hold
-        if self._failure or said:
-            return self._failure or str(said)
+        if self._failure or found:
+            return printable(self._failure or str(found), LONGEST_FAULT)
         if 0 < hold <= self._missing:
-            return f'no measurement for {self._missing} samples'
+            why = self.absence()
+            return f'no measurement for {self._missing} samples' + (f': {why}' if why else '')
         return ''
 
+    def absence(self) -> str:
+        """Return why there is no measurement, in the driver's words; '' = not known."""
+        return printable(str(self._attempt('absence', self.driver.absence) or ''), LONGEST_FAULT)
+
+    def refused(self) -> dict[str, int]:
+        """Return how many of the device's messages were not taken, by cause."""
+        found = self._attempt('refused', lambda: dict(self.driver.refused))
+        return found or {}
+
     def recover(self) -> str:
-        """Have it try to leave its trouble; return why it lasts."""
+        """Have it try to leave its fault; return why it lasts."""
         self._failure = ''
         self._attempt('recover', self.driver.recover)
         self._missing = 0
-        return self.trouble()
+        return self.fault()
 
     def report(self, report: Report) -> None:
         """Add what is known of it to the diagnostics, and begin a new window."""
         report.put('driver', self.driver.name)
-        report.put('saturated by the device [commands]', self.saturated, 'd')
-        report.put('samples without measurement', self.missed, 'd')
-        report.put('bad measurements', self.bad, 'd')
+        for label, count in (('saturated by the device [commands]', self.saturated),
+                             ('samples without measurement', self.missed),
+                             ('bad measurements', self.bad), ('slow driver calls', self.slow)):
+            report.put(label, count, 'd')
         report.put('driver call max [ms]', self.slowest * 1e3, '.3f')
-        report.put('slow driver calls', self.slow, 'd')
         commands, saturated = (self.commands - self._window[0], self.saturated - self._window[1])
         if commands and saturated > SATURATED_SHARE * commands:
-            report.say(Level.WARN, f'{saturated} of {commands} commands beyond the limit '
-                       f'{self._known_limit() or 0.0:g} of the device')
+            report.summarize(Level.WARN, f'{saturated} of {commands} commands beyond the limit '
+                             f'{self._known_limit() or 0.0:g} of the device')
         self._window = (self.commands, self.saturated)
         self.slowest = 0.0
         self._attempt('report', lambda: self.driver.report(report))
 
     def _known_limit(self) -> float | None:
-        """Return its limit; None where it cannot tell, which is trouble."""
+        """Return its limit; None where it is not known, which is a fault."""
         try:
             return self.limit
         except DzRosError as error:
             self._failure = self._failure or str(error)
             return None
 
-    def _acceleration(self, t: float) -> float:
-        """Return x_d^(n) of the reference; 0 where there is none that is fresh."""
-        if self._reference is None:
-            return 0.0
+    def _followed_at(self, t: float) -> tuple[float, float, float]:
+        """Return x_d^(n−2), x_d^(n−1), x_d^(n) at loop time t [s]; 0 where none is fresh."""
         c = self._configuration
         hold = c.safety.reference_hold * c.loop.period
-        if hold and abs(t - self._reference.stamp) > hold:
-            return 0.0
-        return self._reference.x_d[-1]
+        newest = None
+        for item in reversed(self._references):
+            newest = item
+            if item.stamp <= t + SAME_INSTANT:
+                break
+        fresh = newest is not None and not (hold and abs(t - newest.stamp) > hold)
+        if fresh != self._followed:     # the error it observed was another one
+            self._followed = fresh
+            self._observer.restart()
+        if newest is None or not fresh:
+            return (0.0, 0.0, 0.0)
+        x, v, a = (newest if abs(t - newest.stamp) <= SAME_INSTANT else newest.at(t)).x_d[-3:]
+        return (x, v, a)
 
     def _attempt(self, name: str, call: Callable[[], Result]) -> Result | None:
-        """Return what a call of the driver's returns; keep what it raises as trouble.
-
-        Raises:
-            LoopError: It is the loop's end, not the device's trouble (a simulated plant diverged).
-        """
+        """Return what a call returns; keep what it raises as a fault, the loop's end aside."""
         started = time.perf_counter()
         try:
             return call()
@@ -281,15 +341,11 @@ class HostedDriver:
             self._failure = self._failure or str(error)
         except LoopError:
             raise
-        except Exception as error:  # noqa: BLE001  somebody else's code
-            self._failure = self._failure or told(name, error)
+        except Exception as error:  # noqa: BLE001  a driver's code may raise anything
+            self._failure = self._failure or error_text(name, error)
         finally:
             took = time.perf_counter() - started
-            if took > self.slowest:
-                self.slowest = took
+            self.slowest = max(self.slowest, took)
             if took > self._slow and name in _AT_ONCE:
                 self.slow += 1
         return None
-
-
-_AT_ONCE = ('command', 'safe', 'advance', 'measure', 'trouble')

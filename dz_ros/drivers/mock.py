@@ -1,22 +1,23 @@
-"""A driver whose faults are scripted, for tests of whatever must survive them (ours).
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated driver with scripted faults, for tests of what must survive them (ours).
 
-It is the simulated actuator and plant, until its script says otherwise. Each line of the list
-`driver.script` is one fault: where, what, and what it needs.
+Each line of the list `driver.script` is one fault: where, what, and what it needs.
 
     SAMPLES none             no measurement
     SAMPLES nan              a measurement that is not finite
     SAMPLES short            a measurement with a number too few
-    SAMPLES frozen           the measurement before these samples, over and over
-    SAMPLES trouble WORDS    the device is in trouble, until it is reset after these samples
+    SAMPLES frozen           the measurement before these samples, again and again
+    SAMPLES fault WORDS      the device has a fault, until it is reset after these samples
     SAMPLES raise WORDS      its code raises RuntimeError while it measures
-    SAMPLES slow SECONDS     measuring takes so long
+    SAMPLES slow SECONDS     measuring takes this time
     SAMPLES deaf             commands are lost on their way, safe ones too
+    SAMPLES reversed         commands act with the other sign
     open WORDS               it cannot be opened
     enable WORDS             it refuses to be enabled
     recover WORDS            it refuses to be reset
 
 SAMPLES is one sample (`200`), some (`200-210`) or all from one on (`200-`); sample k is measured
-at loop time k T. E.g. ``driver.script: ['100-120 none', '400 trouble over-temperature']``.
+at loop time k T. E.g. ``driver.script: ['100-120 none', '400 fault over-temperature']``.
 """
 
 from __future__ import annotations
@@ -34,23 +35,16 @@ from dz_ros.core.schema import parameter
 from dz_ros.drivers.simulated import SimulatedActuator
 from dz_ros.errors import ConfigurationError, DriverError
 
-WHEN = ('open', 'enable', 'recover')
-"""What may be refused."""
-WORDS = {'trouble', 'raise', *WHEN}
-"""Faults that need words."""
-FAULTS = ('none', 'nan', 'short', 'frozen', 'trouble', 'raise', 'slow', 'deaf')
+REFUSALS = ('open', 'enable', 'recover')
+WITH_WORDS = {'fault', 'raise', *REFUSALS}
+FAULTS = ('none', 'nan', 'short', 'frozen', 'fault', 'raise', 'slow', 'deaf',
+          'reversed')
 _LINE = re.compile(r'(?:(\d+)(-(\d*))? +)?([a-z]+)(?: +(.*))?')
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One line of a script.
-
-    Attributes:
-        what: Which fault.
-        first, last: Samples it holds for, both included; of no meaning for refusals.
-        words: What it says.
-    """
+    """One line of a script: what happens in samples first … last, with its words."""
 
     what: str
     first: int
@@ -69,12 +63,12 @@ def read_script(lines: Sequence[str], key: str = 'driver.script') -> tuple[Fault
         match = _LINE.fullmatch(line.strip())
         what = match[4] if match else ''
         timed = match is not None and match[1] is not None
-        if not match or what not in (FAULTS if timed else WHEN):
+        if not match or what not in (FAULTS if timed else REFUSALS):
             raise ConfigurationError(key, line, 'a line must be SAMPLES and one of '
-                                     f'{", ".join(FAULTS)}, or one of {", ".join(WHEN)}')
+                                     f'{", ".join(FAULTS)}, or one of {", ".join(REFUSALS)}')
         words = match[5] or ''
-        if (what in WORDS) != bool(words) and what != 'slow':
-            raise ConfigurationError(key, line, f'{what} needs words' if what in WORDS
+        if (what in WITH_WORDS) != bool(words) and what != 'slow':
+            raise ConfigurationError(key, line, f'{what} needs words' if what in WITH_WORDS
                                      else f'nothing can follow {what}')
         if what == 'slow' and not re.fullmatch(r'\d*\.?\d+(e-?\d+)?', words):
             raise ConfigurationError(key, line, 'slow needs a number of seconds')
@@ -88,7 +82,7 @@ def read_script(lines: Sequence[str], key: str = 'driver.script') -> tuple[Fault
 
 @dataclass(frozen=True)
 class MockParameters:
-    """What the mock pretends to be."""
+    """Faults and capabilities of the mock."""
 
     script: tuple[str, ...] = parameter((), '', 'faults, one a line: SAMPLES WHAT WORDS')
     measures: int = parameter(0, '1', "how many of x, x', … it measures; 0 = all", minimum=0,
@@ -96,11 +90,7 @@ class MockParameters:
     limit: float = parameter(0.0, 'command unit', 'largest |v| it takes; 0 = any', minimum=0.0)
 
     def check(self, prefix: str) -> None:
-        """Check the script.
-
-        Raises:
-            ConfigurationError: A line of it is none.
-        """
+        """Check the script."""
         read_script(self.script, f'{prefix}script')
 
 
@@ -110,7 +100,7 @@ class Mock(SimulatedActuator):
     Attributes:
         sample: The sample measured next.
         given: Every command that came, as (v, t, whether safe).
-        calls: Names of the calls of its life, in order.
+        calls: Names of the lifecycle calls, in order.
     """
 
     name = 'mock'
@@ -123,12 +113,12 @@ class Mock(SimulatedActuator):
         self.given: list[tuple[float, float, bool]] = []
         self.calls: list[str] = []
         self._script = read_script(parameters.script)
-        self._trouble = ''
+        self._fault = ''
         self._before: tuple[float, ...] = ()
 
     @property
     def measured(self) -> int:
-        """How many of x, x', … it measures."""
+        """Number of the states x, x', … that it measures."""
         order = self.configuration.plant.order
         return min(self.parameters.measures, order) or order
 
@@ -138,46 +128,40 @@ class Mock(SimulatedActuator):
         return self.parameters.limit or super().limit
 
     def configure(self, configuration: Configuration) -> None:
-        """Follow another script from now on."""
+        """Use another script from now on."""
         super().configure(configuration)
         self._script = read_script(self.parameters.script)
 
     def open(self) -> None:
-        """Open, or not."""
+        """Open, unless the script refuses."""
         self._refuse('open')
 
     def enable(self) -> None:
-        """Be enabled, or not."""
+        """Enable, unless the script refuses."""
         self._refuse('enable')
 
     def disable(self) -> None:
-        """Note it."""
+        """Note the call."""
         self.calls.append('disable')
 
     def close(self) -> None:
-        """Note it."""
+        """Note the call."""
         self.calls.append('close')
 
     def command(self, v: float, t: float) -> None:
-        """Take a command, or lose it."""
+        """Take a command, unless deaf."""
         self._take(v, t, False)
 
     def safe(self, v: float, t: float) -> None:
-        """Take the safe command, or lose it."""
+        """Take the safe command, unless deaf."""
         self._take(v, t, True)
 
     def measure(self) -> tuple[float, ...] | None:  # type: ignore[override]
-        """Measure, or do what the script says.
-
-        Raises:
-            RuntimeError: The script wants it.
-        """
-        fault = self._now('slow')
-        if fault is not None:
-            time.sleep(float(fault.words))
-        fault = self._now('raise')
-        if fault is not None:
-            raise RuntimeError(fault.words)
+        """Measure, or follow the script, which may raise RuntimeError."""
+        if slow := self._now('slow'):
+            time.sleep(float(slow.words))
+        if raised := self._now('raise'):
+            raise RuntimeError(raised.words)
         if self._now('none') is not None:
             return None
         x = super().measure()[:self.measured]
@@ -196,34 +180,28 @@ class Mock(SimulatedActuator):
         self.sample = seq + 1
         return truth
 
-    def trouble(self) -> str:
-        """Return the scripted trouble, until it is left by `recover`."""
-        fault = self._now('trouble')
-        if fault is not None:
-            self._trouble = fault.words
-        return self._trouble
+    def fault(self) -> str:
+        """Return the scripted fault, until it is left by `recover`."""
+        if fault := self._now('fault'):
+            self._fault = fault.words
+        return self._fault
 
     def recover(self) -> None:
-        """Leave the trouble, or not."""
+        """Leave the fault, unless the script refuses."""
         self._refuse('recover')
-        self._trouble = ''
+        self._fault = ''
 
     def _take(self, v: float, t: float, safe: bool) -> None:
         self.given.append((v, t, safe))
         if self._now('deaf') is None:
-            super().command(v, t)
+            super().command(v if self._now('reversed') is None else -v, t)
 
     def _now(self, what: str) -> Fault | None:
-        """Return the fault of a kind that holds in the present sample."""
         return next((item for item in self._script if item.what == what
                      and item.first <= self.sample <= item.last), None)
 
     def _refuse(self, name: str) -> None:
-        """Note a call; refuse it where the script says so.
-
-        Raises:
-            DriverError: It does.
-        """
+        """Note a call; refuse it where the script does."""
         self.calls.append(name)
         for item in self._script:
             if item.what == name:

@@ -1,9 +1,12 @@
-"""From what was found to a configuration that is ready to run (ours).
+# SPDX-License-Identifier: Apache-2.0
+"""A configuration that is ready to run, from what was identified (ours).
 
 b and m show only as their product. b is kept as configured and m = (b m)/b, so that all the
 uncertainty is in the bounds of m and none in those of b: where b is wrong by a factor, m makes up
-for it, and no rule asks for more than the product or for ρ/m, in which b does not stand. Both
-sides share one slope in the law: its bounds span those of both.
+for it, and no rule asks for more than the product or for ρ/m, in which b does not stand. The two
+sides may have slopes of their own; the law has one m, whose bounds hold both (mathematics.md §13):
+ρ/m_min then divides by the smaller slope, β takes the larger. Where the break points count
+friction in, the bounds hold them and 0: what has to be overcome may be either.
 
 The dead-zone and the a_i of the configuration become the estimates, its drift none; the gains are
 those of `dz_ros.studies.tune`, which keeps the design rules.
@@ -11,14 +14,19 @@ those of `dz_ros.studies.tune`, which keeps the design rules.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import math
 from typing import Any
 
-from dz_ros.analysis.fit_parameters import parameters_with
+import numpy as np
+
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.schema import fields
 from dz_ros.errors import ConfigurationError
-from dz_ros.identification.bounds import Identified
+from dz_ros.identification.estimation.least_squares import ZONE
+from dz_ros.identification.estimation.physical_parameters import friction_terms, parameters_with
+from dz_ros.identification.estimation.pipeline import Identified
+from dz_ros.identification.estimation.prediction_error import Fit
 from dz_ros.studies.tune import Proposal, tune
 
 LAW = 'robust'
@@ -28,38 +36,58 @@ LAW = 'robust'
 def known_bounds(c: Configuration, found: Identified) -> dict[str, Any]:
     """Return the keys of what the law may know of the dead-zone, (A4)."""
     b_r, b_l, right, left = found.bounds.values()
-    b = c.plant.b
-    return {'controller.b_r_bounds': [b_r.low, b_r.high],
-            'controller.b_l_bounds': [b_l.low, b_l.high],
+    b, none = c.plant.b, found.friction_counted
+    return {'controller.b_r_bounds': [0.0 if none else b_r.low, b_r.high],
+            'controller.b_l_bounds': [b_l.low, 0.0 if none else b_l.high],
             'controller.m_bounds': [min(right.low, left.low) / b, max(right.high, left.high) / b],
             'controller.b_bounds': [b, b]}
 
 
-def identified_model(c: Configuration, found: Identified) -> tuple[dict[str, Any], str]:
-    """Return the keys of plant and dead-zone as found, and what could not be kept."""
-    b_r, b_l, right, left = (item.value for item in found.bounds.values())
-    zone = {'b_r': max(b_r, 0.0), 'b_l': min(b_l, 0.0), 'm_r': right / c.plant.b,
-            'm_l': left / c.plant.b,
-            **{f'{name}_drift': [0.0, 0.0] for name in ('b_r', 'b_l', 'm_r', 'm_l')}}
-    keys: dict[str, Any] = {f'plant.dead_zone.{name}': value for name, value in zone.items()}
+def identified_model(c: Configuration, found: Identified,
+                     fitted: Fit | None) -> tuple[dict[str, Any], str]:
+    """Return the keys of plant and dead-zone, and what could not be kept.
+
+    Args:
+        c: With which they were identified.
+        found: Means of the repeats.
+        fitted: The same refined; None = there is no refinement.
+    """
+    if fitted is not None:
+        a, zone = fitted.a, [fitted[name].value for name in ZONE]
+    else:
+        zone = [item.value for item in found.bounds.values()]
+        if found.friction_counted:
+            zone = friction_terms(c.plant, np.array(zone))[1].tolist()
+        a = tuple(found.a.tolist())
+    keys = zone_keys(zone, c.plant.b)
     try:
-        keys.update(parameters_with(c.plant, found.a[:c.plant.regressor_count].tolist()))
+        keys.update(parameters_with(c.plant, a))
     except ConfigurationError as error:
         return keys, f'the plant keeps its parameters: {error}'
     return keys, ''
 
 
-def propose(c: Configuration, found: Identified) -> tuple[Proposal, tuple[str, ...]]:
+def zone_keys(zone: Sequence[float], b: float) -> dict[str, Any]:
+    """Return the keys of a dead-zone without drift, given as `ZONE`."""
+    b_r, b_l, right, left = zone
+    values = {'b_r': max(b_r, 0.0), 'b_l': min(b_l, 0.0), 'm_r': right / b, 'm_l': left / b}
+    return {**{f'plant.dead_zone.{name}': value for name, value in values.items()},
+            **{f'plant.dead_zone.{name}_drift': [0.0, 0.0] for name in values}}
+
+
+def propose(c: Configuration, found: Identified,
+            fitted: Fit | None = None) -> tuple[Proposal, tuple[str, ...]]:
     """Return the tuned configuration with what it gives in simulation, and notes on it.
 
     Args:
-        c: With which the dead-zone was looked for.
-        found: What was found.
+        c: With which the dead-zone was identified.
+        found: The dead-zone and its bounds.
+        fitted: The plant refined by prediction error; None = by least squares.
 
     Raises:
         ConfigurationError: No gains keep the design rules at this rate.
     """
-    model, note = identified_model(c, found)
+    model, note = identified_model(c, found, fitted)
     keys = {**known_bounds(c, found), **model}
     notes = [note] if note else []
     if 'k_star' not in {item.name for item in fields(type(c.law.gains))}:
@@ -76,7 +104,7 @@ def propose(c: Configuration, found: Identified) -> tuple[Proposal, tuple[str, .
     except ConfigurationError as error:
         if error.key != '--effort' or c.plant_settings.command_limit > 0.0:
             raise
-    # The effort of the gains as they were says nothing where they do not move this device.
+    # The effort of the earlier gains means nothing where they do not move this device.
     notes.append('no limit on |v| was known: set plant.command_limit and tune again if there is '
                  'one')
     return tune(known, effort=math.inf), tuple(notes)

@@ -1,10 +1,10 @@
-"""Who may look and who may act (docs/safety.md).
+# SPDX-License-Identifier: Apache-2.0
+"""Permission to look and to act (docs/safety.md).
 
-A page of somebody else in the same browser can send requests to this server, and a name of
-somebody else's can be made to mean this machine. So: the `Host` of every request must be an
-address or a name this server was started with; a WebSocket must come from this server's own page
-(`Origin`); and whatever acts must show the token, which only the printed address carries. Looking
-from this machine needs no token, looking from another one does.
+A foreign page in the same browser can send requests to this server, and a foreign name can
+resolve to this machine. So the `Host` of every request must be an address or a name this server
+was started with; a WebSocket must come from this server's own page (`Origin`); and an action needs
+the token, which only the printed address carries. Looking needs it from another machine only.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ class Access:
     """The rules for one server.
 
     Args:
-        host: Address or name it listens on.
-        read_only: Whether nobody may act.
+        host: Address or name of its socket.
+        read_only: Whether no viewer may act.
         actions: Whether there is anything to act on.
 
     Attributes:
         token: What an actor must show.
-        local: Whether it listens on the loopback alone.
+        local: Whether only this machine can connect.
 
     Raises:
         ConfigurationError: Not an address or name of this machine.
@@ -72,20 +72,20 @@ class Access:
         return bool(host) and origin is not None and origin == f'http://{host}'
 
     def knows(self, token: object) -> bool:
-        """Return whether the token is the right one, in a time that does not tell how wrong."""
+        """Return whether the token is the right one, in constant time."""
         return isinstance(token, str) and secrets.compare_digest(
             token.encode(errors='replace'), self.token.encode())
 
     def may_look(self, token: object) -> bool:
-        """Return whether whoever shows this may look."""
+        """Return whether a viewer with this token may look."""
         return self.local or self.knows(token)
 
     def may_act(self, token: object) -> bool:
-        """Return whether whoever shows this may act."""
+        """Return whether a viewer with this token may act."""
         return not self.why_not(token)
 
     def why_not(self, token: object) -> str:
-        """Return why whoever shows this may not act; empty where it may."""
+        """Return why a viewer with this token may not act; '' where it may."""
         if not self.actions:
             return 'a recorded run cannot be acted on'
         if self.read_only:
@@ -97,7 +97,7 @@ class Access:
     def address(self, port: int) -> str:
         """Return the address to open, with the token where one is of use."""
         host = {'0.0.0.0': socket.gethostname(), '::': socket.gethostname()}.get(self.host,
-                                                                              self.host)
+                                                                                 self.host)
         place = f'http://[{host}]:{port}/' if ':' in host else f'http://{host}:{port}/'
         needed = not self.local or (self.actions and not self.read_only)
         # After the #, so that no browser sends it along or writes it into a log.
@@ -112,7 +112,7 @@ def _address(info: tuple[object, ...]) -> tuple[object, object, object, object, 
 
 
 def _split(header: str) -> tuple[str, int]:
-    """Return name and port of a `Host`; port 80 where it says none, −1 where it is none."""
+    """Return name and port of a `Host`; port 80 by default, −1 where it is not a number."""
     if header.startswith('['):
         name, _, rest = header[1:].partition(']')
         port = rest.removeprefix(':')

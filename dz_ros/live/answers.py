@@ -1,10 +1,9 @@
-"""What viewers ask, and their answers.
+# SPDX-License-Identifier: Apache-2.0
+"""Requests of viewers and their answers.
 
-An e-stop is done as soon as it is read. Everything else is worked on one by one for each viewer,
-and an e-stop, whoever pressed it, cancels what was accepted before it: a reset that was asked for
-earlier must not undo it. An action carries the time at which it was asked, by the server's clock
-as far as the page knows it; one that was long on its way is refused, since whoever asked has seen
-another loop.
+An e-stop is done as soon as it is read. Other requests are handled one by one for each viewer, and
+any e-stop cancels those accepted before it: an earlier reset must not undo it. An action carries
+the time of its request by the server's clock; an old one is refused, since the loop has changed.
 """
 
 from __future__ import annotations
@@ -20,8 +19,8 @@ from dz_ros.live.requests import finite, parse, ProtocolError, result
 from dz_ros.live.source import Source
 from dz_ros.live.viewer import Viewer
 
-ACTIONS = frozenset(('reset', 'activate', 'deactivate', 'set', 'kick'))
-QUESTIONS = frozenset(('rows', 'histogram'))
+ACTIONS = frozenset(('reset', 'activate', 'deactivate', 'set', 'disturbance_pulse'))
+QUESTIONS = frozenset(('rows', 'histogram', 'axis'))
 OLD = 3.0
 """An action that was asked for longer ago than this is refused [s]."""
 
@@ -31,7 +30,7 @@ class Answers:
 
     Args:
         source: What is shown.
-        access: Who may do what.
+        access: Permissions.
         kinds: aiohttp's kinds of messages.
     """
 
@@ -46,7 +45,7 @@ class Answers:
         for task in list(self._tasks):
             task.cancel()
 
-    def hear(self, viewer: Viewer, message: Any) -> None:
+    def receive(self, viewer: Viewer, message: Any) -> None:
         """Take a request.
 
         Raises:
@@ -60,10 +59,10 @@ class Answers:
                 or not 0 <= number < 2 ** 31:
             raise ProtocolError('do and id expected')
         if what == 'estop':     # at once: nothing that is being worked on holds it up
-            viewer.say(self._stop(viewer, number))
+            viewer.send(self._stop(viewer, number))
         elif what in ACTIONS or what in QUESTIONS:
             if viewer.busy:
-                viewer.say(result(number, False, 'another request is being worked on'))
+                viewer.send(result(number, False, 'another request is being worked on'))
                 return
             viewer.busy = True
             task = asyncio.create_task(self._work(viewer, what, number, request,
@@ -101,17 +100,13 @@ class Answers:
             answer = result(number, False, str(error))
         finally:
             viewer.busy = False
-        viewer.say(answer)
+        viewer.send(answer)
 
     def _fresh(self, request: dict[str, Any]) -> None:
-        """Refuse what was asked for long ago.
-
-        Raises:
-            LoopError: It was, or does not say when.
-        """
+        """Refuse what was asked for long ago."""
         asked = finite(request.get('asked'))
         if asked is None:
-            raise LoopError('not done: it does not say when it was asked')
+            raise LoopError('not done: the request carries no time')
         age = clock() - asked
         if not abs(age) <= OLD:
             raise LoopError(f'not done: it was asked {age:.1f} s ago, more than {OLD:g} s')

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page's files, read once; nothing else on this machine can be asked for."""
 
 from __future__ import annotations

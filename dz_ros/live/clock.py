@@ -1,7 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
 """The server's time: seconds since the epoch when it started, and steady from there on (ours).
 
-Pages tell from it how old is what they show, and say with it when they asked for something; a
-clock that is set meanwhile must make nothing look old, or fresh.
+Pages compute the age of data from it and stamp their requests with it; a system clock that is set
+meanwhile must make nothing look old, or fresh.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
-"""Connections to the page's server: not too many, and none that says nothing."""
+# SPDX-License-Identifier: Apache-2.0
+"""Limits on the connections to the page's server: their number, and the time without a request."""
 
 from __future__ import annotations
 
 import asyncio
 from typing import Any
 
-MOST = 64
+MAX_CONNECTIONS = 64
 """Connections at once, whatever they are for."""
 SILENT = 10.0
 """A connection must have made a whole request by then [s]."""
@@ -32,7 +33,7 @@ class Connections:
 
     def __call__(self) -> asyncio.BaseProtocol:
         """Return the protocol of a new connection."""
-        if len(self._server.connections) >= MOST:
+        if len(self._server.connections) >= MAX_CONNECTIONS:
             return _Refused()
         protocol: asyncio.BaseProtocol = self._server()
         self._silent.add(protocol)
@@ -44,7 +45,7 @@ class Connections:
         self._silent.discard(protocol)
 
     def _look(self, protocol: Any) -> None:
-        """End a connection that has not said anything yet."""
+        """End a connection that has made no request yet."""
         if protocol in self._silent:
             self._silent.discard(protocol)
             if protocol.transport is not None:

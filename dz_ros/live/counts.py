@@ -1,7 +1,8 @@
+# SPDX-License-Identifier: Apache-2.0
 """How long things took, as the page draws it: counts in bins, quantiles, how many were late.
 
 A period is *late* more than 1 ms beyond T and *too late* more than T beyond it, a round trip
-beyond 1 ms and beyond T, as in the report (`dz_ros.analysis.timing`); what is too late is late as
+beyond 1 ms and beyond T, as in the report (`dz_ros.runs.timing`); what is too late is late as
 well.
 """
 
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dz_ros.analysis.timing import LATE
+from dz_ros.core.statistics import LATE, percentile
 
 BINS = 48
 NAMES = ('interval', 'round_trip')
@@ -36,14 +37,11 @@ def counts(values: NDArray[np.float64], name: str, period: float) -> dict[str, A
     if not size:
         return {'count': 0}
     base = period if name == 'interval' else 0.0
-
-    def at(share: float) -> float:
-        return float(found[min(size - 1, int(share * size))])
-
     low = max(0.0, base - 2.0 * LATE) if base else 0.0
-    high = base + 2.0 * LATE if base else max(1.15 * at(0.99), 1e-6)
+    high = base + 2.0 * LATE if base else max(1.15 * percentile(found, 0.99), 1e-6)
     bins = np.clip((found - low) / (high - low) * BINS, 0, BINS - 1).astype(int)
-    return {'count': size, 'p50': at(0.5), 'p99': at(0.99), 'max': float(found[-1]),
+    return {'count': size, 'p50': percentile(found, 0.5), 'p99': percentile(found, 0.99),
+            'max': float(found[-1]),
             'late': int((found > base + LATE).sum()),
             'too_late': int((found > base + period).sum()), 'low': low, 'high': high,
             'bins': np.bincount(bins, minlength=BINS).tolist()}

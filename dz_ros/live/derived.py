@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the page draws beside the records: errors, bounds and bands that a configuration implies.
 
     error      x̃ = x − x_d
@@ -11,12 +12,14 @@
     interval   time between the publishing of a state and of the one before it
 
 A configuration holds for the rows that were published after it was stated (ours: to the page,
-unlike to an audit, a sample more or less is nothing).
+unlike to an audit, a sample more or less is nothing). ε that the terms carry holds until the next
+one: a sample whose terms are late, or whose law was not active, leaves Ω_ε where it was.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,9 +43,10 @@ class Deriver:
         self._times: list[float] = []
         self._stated: list[Configuration] = []
         self._before = (np.nan, np.nan)
+        self._epsilon: tuple[Configuration | None, float] = (None, math.nan)
 
     def state(self, time: float, configuration: Configuration) -> None:
-        """Hear of a configuration that holds from a time on [s since the epoch]."""
+        """Add a configuration that holds from a time on [s since the epoch]."""
         at = bisect_right(self._times, time)
         self._times.insert(at, time)
         self._stated.insert(at, configuration)
@@ -92,10 +96,10 @@ class Deriver:
         if c is None or c.plant.order != self._layout.order:
             return
         design, settings = c.law.design, c.controller_settings
-        layer = epsilon
+        layer = None if epsilon is None else self._held(epsilon, c)
         if design is not None and design.epsilon > 0.0:     # of two runs, one may not have it
-            layer = np.full(len(rows), design.epsilon) if epsilon is None else np.where(
-                np.isnan(epsilon), design.epsilon, epsilon)
+            layer = np.full(len(rows), design.epsilon) if layer is None else np.where(
+                np.isnan(layer), design.epsilon, layer)
         if design is not None and layer is not None:
             if s is not None:
                 rows[:, place['s_over_epsilon']] = s / layer
@@ -107,9 +111,19 @@ class Deriver:
         rows[:, place['band_high']] = scale * settings.b_r_bounds[1]
         if w is not None:
             zone, stamp = c.dead_zone, rows[:, 1]
-            for name, value, drift in (('zone_low', zone.b_l, zone.b_l_drift),
-                                       ('zone_high', zone.b_r, zone.b_r_drift)):
-                rows[:, place[name]] = value + drift[0] * np.sin(drift[1] * stamp)
+            for name, parameter in (('zone_low', 'b_l'), ('zone_high', 'b_r')):
+                rows[:, place[name]] = zone.history(parameter, stamp, c.loop.schedule)
+
+    def _held(self, epsilon: Array, c: Configuration) -> Array:
+        """Return ε, as it was before where it is unknown or not positive; NaN = never known."""
+        stated = self._epsilon[0]
+        same = stated is not None and (stated is c or stated.law.gains == c.law.gains)
+        before = self._epsilon[1] if same else math.nan
+        known = np.concatenate(([before], np.where(epsilon > 0.0, epsilon, np.nan)))
+        last = np.maximum.accumulate(np.where(np.isnan(known), 0, np.arange(len(known))))
+        found = known[last]
+        self._epsilon = (c, float(found[-1]))
+        return found[1:]
 
     def _column(self, rows: Array, name: str) -> Array | None:
         """Return a column of the records, None where there is none."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The last minutes as one ring of rows, all its memory taken at once, so that it cannot grow."""
 
 from __future__ import annotations
@@ -15,6 +16,10 @@ LIVE, ANSWER = 1, 2
 """Kinds of frames: rows as they come; rows that were asked for."""
 CHUNK = 2000
 """Most rows in a frame."""
+MOST_BYTES = 256 << 20
+"""Most memory of a table, however many columns and rows are asked for."""
+FRAME_BYTES = 8 << 20
+"""Most bytes of a frame."""
 
 
 class History:
@@ -22,7 +27,7 @@ class History:
 
     Args:
         width: Columns.
-        capacity: Rows kept.
+        capacity: Rows kept, as far as `MOST_BYTES` allow.
         generation: Number of this table; another one means that its columns changed.
 
     Attributes:
@@ -30,7 +35,9 @@ class History:
     """
 
     def __init__(self, width: int, capacity: int, generation: int = 0) -> None:
-        self._rows = np.full((max(capacity, 1), width), np.nan)
+        largest = max(MOST_BYTES // (8 * max(width, 1)), 1)
+        self._rows = np.full((max(min(capacity, largest), 1), width), np.nan)
+        self._chunk = max(min(CHUNK, FRAME_BYTES // (8 * max(width, 1))), 1)
         self.generation = generation
         self.head = 0
         self._cached: tuple[int, int, bytes] = (0, 0, b'')
@@ -38,6 +45,11 @@ class History:
     def __len__(self) -> int:
         """Return the number of rows kept."""
         return min(self.head, len(self._rows))
+
+    @property
+    def nbytes(self) -> int:
+        """Memory taken [bytes]."""
+        return self._rows.nbytes
 
     def append(self, rows: Array) -> None:
         """Add rows, shape (N, width); the oldest make room."""
@@ -53,7 +65,7 @@ class History:
             self._rows[:end] = rows_left[-start:]
 
     def begin(self, rows: float) -> int:
-        """Return the count of the first of the last so many rows."""
+        """Return the count of the first of the last `rows` rows."""
         return self.head - int(min(max(rows, 0), len(self)))
 
     def rows(self, first: int, last: int) -> Array:
@@ -72,7 +84,7 @@ class History:
         first, last, packed = self._cached
         if packed and (first, last) == (cursor, self.head):
             return packed, last
-        last = min(self.head, max(cursor, self.head - len(self)) + CHUNK)
+        last = min(self.head, max(cursor, self.head - len(self)) + self._chunk)
         rows = self.rows(cursor, last)
         packed = pack(LIVE, self.generation, rows, 0, now)
         if last == self.head:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What viewers send and are answered: texts that mean something, headers that keep pages apart."""
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ POLICY = ("default-src 'none'; script-src 'self'; style-src 'self'; img-src 'sel
           "connect-src 'self' ws://{host}; base-uri 'none'; form-action 'none'; "
           "frame-ancestors 'none'")
 DEPTH = 8
-"""Deeper than this nothing is told to viewers."""
+"""Deepest nesting of a message to viewers."""
 
 
 class ProtocolError(Exception):
@@ -47,7 +48,7 @@ def parse(message: Any, kinds: Any) -> dict[str, Any]:
 
 
 def finite(value: Any) -> float | None:
-    """Return a number that somebody sent, None where it is none."""
+    """Return a received number, None where it is none."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
     try:
@@ -58,7 +59,7 @@ def finite(value: Any) -> float | None:
 
 
 def text_of(message: Any) -> str:
-    """Return the JSON of a message, ASCII alone; what JSON cannot say is null in it.
+    """Return the JSON of a message, ASCII alone; a value that JSON lacks is null.
 
     It never fails: messages carry what arbitrary nodes have published.
     """
@@ -69,7 +70,7 @@ def text_of(message: Any) -> str:
 
 
 def _plain(value: Any, depth: int) -> Any:
-    """Return a value as far as JSON can say it."""
+    """Return a value with null for what JSON lacks."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, (str, int)):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page's server: static files from memory, and one WebSocket a viewer.
 
 A viewer's first text is ``{"hello": 1, "token": …, "seconds": …}``; it gets a text of kind
@@ -27,12 +28,12 @@ NO_AIOHTTP = "the page needs aiohttp: pip install 'dz_ros[live]'"
 PORTS = range(8420, 8440)
 """Ports tried where none is given."""
 MOST_VIEWERS = 16
-KEPT = 4
+TOKEN_PLACES = 4
 """Places that only those with the token get."""
 MESSAGE = 16384
 """Largest text a viewer may send [bytes]."""
-FIRST_WORD = 5.0
-"""A viewer must have said hello by then [s]."""
+HELLO_LIMIT = 5.0
+"""Longest wait for a viewer's hello [s]."""
 
 
 class Server:
@@ -40,7 +41,7 @@ class Server:
 
     Args:
         source: What is shown.
-        access: Who may do what.
+        access: Permissions.
 
     Raises:
         MissingDependencyError: aiohttp is not installed.
@@ -123,12 +124,12 @@ class Server:
             else:
                 viewer.wake.set()
 
-    def say(self, message: dict[str, Any]) -> None:
+    def broadcast(self, message: dict[str, Any]) -> None:
         """Send a text to every viewer."""
         if self.viewers:
             text = text_of(message)
             for viewer in list(self.viewers):
-                viewer.say(text)
+                viewer.send(text)
 
     def renew(self) -> None:
         """Introduce the source again, whose columns have changed."""
@@ -176,8 +177,8 @@ class Server:
         code, reason = 1008, 'hello expected'
         sender: asyncio.Task[None] | None = None
         try:
-            # One deadline: a receive with a time-out would begin anew with each ping.
-            token, seconds = await asyncio.wait_for(self._first_word(answer), FIRST_WORD)
+            # One deadline: a receive with a time-out would restart at each ping.
+            token, seconds = await asyncio.wait_for(self._hello(answer), HELLO_LIMIT)
             if not self._access.may_look(token):
                 code, reason = 4401, 'the token is missing or wrong'
                 return answer
@@ -188,7 +189,7 @@ class Server:
             self.viewers.add(viewer)
             sender = asyncio.create_task(self._feed(viewer))
             async for message in answer:
-                self._answers.hear(viewer, message)
+                self._answers.receive(viewer, message)
             code, reason = 1000, ''
         except ProtocolError as error:
             reason = str(error)
@@ -204,13 +205,13 @@ class Server:
         return answer
 
     def _room(self, token: str) -> bool:
-        """Return whether there is a place for whoever shows this."""
+        """Return whether there is a place for a viewer with this token."""
         if self._access.knows(token):
             return len(self.viewers) < MOST_VIEWERS
         others = sum(not self._access.knows(viewer.token) for viewer in self.viewers)
-        return others < MOST_VIEWERS - KEPT and len(self.viewers) < MOST_VIEWERS
+        return others < MOST_VIEWERS - TOKEN_PLACES and len(self.viewers) < MOST_VIEWERS
 
-    async def _first_word(self, answer: Any) -> tuple[str, float]:
+    async def _hello(self, answer: Any) -> tuple[str, float]:
         """Return token and seconds of history wanted."""
         first = parse(await answer.receive(), self._kinds)
         seconds = finite(first.get('seconds', 0))
@@ -219,15 +220,15 @@ class Server:
         return str(first.get('token', '')), seconds
 
     def _introduce(self, viewer: Viewer, token: str, seconds: float) -> None:
-        """Tell a viewer what it sees, and give it the rows from so many seconds ago on."""
+        """Send a viewer the description of the source and the rows of the last `seconds`."""
         history = self._source.history
         hello = self._source.hello()
         why_not = self._access.why_not(token)
         viewer.token, viewer.seconds, viewer.may_act = token, seconds, not why_not
-        viewer.say({'kind': 'hello', **hello, 'generation': history.generation,
+        viewer.send({'kind': 'hello', **hello, 'generation': history.generation,
                     'may_act': not why_not, 'why_not': why_not, 'time': clock()})
         for message in self._source.now():
-            viewer.say(message)
+            viewer.send(message)
         viewer.generation = history.generation
         viewer.cursor = history.begin(seconds * hello.get('rate', 0.0))
 

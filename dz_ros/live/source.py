@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a page shows: a running loop or recorded runs, as the server sees either."""
 
 from __future__ import annotations
@@ -20,11 +21,11 @@ class Source(ABC):
 
     @property
     def stops(self) -> int:
-        """E-stops so far, whoever pressed them."""
+        """Number of e-stops so far."""
         return 0
 
     def still(self, stops: int) -> None:
-        """Go on only if no e-stop has come since there had been so many.
+        """Go on only if the number of e-stops is still `stops`.
 
         Raises:
             LoopError: One has.
@@ -37,22 +38,22 @@ class Source(ABC):
         """Return what a page must know first: columns, units, parameters, what it may do."""
 
     def now(self) -> list[dict[str, Any]]:
-        """Return the few texts that tell a viewer who has just come of state and events."""
+        """Return the messages with state and events for a new viewer."""
         return []
 
-    def estop(self, who: str) -> dict[str, Any]:
+    def estop(self, viewer: str) -> dict[str, Any]:
         """Stop the loop at once.
 
         Raises:
             LoopError: There is nothing to stop.
         """
-        raise LoopError(f'nothing runs here that {who} could stop')
+        raise LoopError(f'nothing runs here that {viewer} could stop')
 
-    async def act(self, who: str, request: dict[str, Any], stops: int) -> dict[str, Any]:
+    async def act(self, viewer: str, request: dict[str, Any], stops: int) -> dict[str, Any]:
         """Do what an operator asks; return what came of it: `ok` and `message`.
 
         Args:
-            who: Who asks.
+            viewer: Name of the viewer that asks.
             request: What.
             stops: `stops` when it was accepted; a later e-stop cancels what is not done yet.
 
@@ -60,11 +61,11 @@ class Source(ABC):
             DzRosError: It cannot be done, and why.
         """
         self.still(stops)
-        raise LoopError(f'nothing runs here: {request.get("do")} by {who} changes nothing')
+        raise LoopError(f'nothing runs here: {request.get("do")} by {viewer} changes nothing')
 
     @abstractmethod
     async def ask(self, request: dict[str, Any]) -> bytes | dict[str, Any]:
-        """Return numbers or a text that somebody who looks asks for.
+        """Return the numbers or the text that a viewer asks for.
 
         Raises:
             DzRosError: There are none.

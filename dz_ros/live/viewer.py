@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One browser: what it is sent, and when it is dropped.
 
 Rows are not queued for it: a viewer remembers how far it has got and takes the rows from there on
@@ -17,7 +18,7 @@ from dz_ros.live.clock import clock
 from dz_ros.live.requests import text_of
 
 STALLED = 5.0
-"""A frame of which nothing has left for this long means that nobody reads [s]."""
+"""A frame of which nothing has left for this long means that the viewer does not read [s]."""
 TEXTS = 400
 """More texts waiting than this mean the same."""
 RATE, BURST = 20.0, 40.0
@@ -51,11 +52,11 @@ class Viewer:
     Args:
         socket: Its prepared WebSocket.
         transport: The connection below it.
-        name: Who it is, for the record of actions.
+        name: Its address, for the record of actions.
 
     Attributes:
         token: What it has shown.
-        may_act: Whether its commands are heard.
+        may_act: Whether its actions are accepted.
         seconds: How much of the past it wants [s].
         cursor: Count of the first row it does not have; None = it has not asked yet.
         busy: Whether a request of its is being worked on.
@@ -78,7 +79,15 @@ class Viewer:
         self._unsent = 0
         self._left = asyncio.Event()
 
-    def say(self, message: dict[str, Any] | str) -> None:
+    @property
+    def held(self) -> int:
+        """Bytes that wait to be sent, and those sent that have not left."""
+        return sum(map(len, self._waiting)) + self._unsent_now()
+
+    def _unsent_now(self) -> int:
+        return self._transport.get_write_buffer_size() if self._transport is not None else 0
+
+    def send(self, message: dict[str, Any] | str) -> None:
         """Queue a text, given as what it means or as it is sent."""
         self._put(message if isinstance(message, str) else text_of(message))
 
@@ -121,17 +130,17 @@ class Viewer:
         """Return whether what is being sent does not leave; slowly is not at all another thing."""
         if self._sending_since is None:
             return False
-        unsent = self._transport.get_write_buffer_size() if self._transport is not None else 0
+        unsent = self._unsent_now()
         if unsent < self._unsent:
             self._sending_since = now
         self._unsent = unsent
         return now - self._sending_since > STALLED
 
     def leave(self) -> None:
-        """Let go whoever waits for something of its to be sent."""
+        """Release the coroutine that waits for an answer to be sent."""
         self._left.set()
 
     def drop(self) -> None:
-        """Cut the connection: a farewell would wait for whoever does not read."""
+        """Cut the connection: a close frame would wait for a viewer that does not read."""
         if self._transport is not None:
             self._transport.abort()

@@ -1,124 +1,136 @@
-"""The conformance kit's second half: a driver's node held to docs/topics.md, from outside.
+# SPDX-License-Identifier: Apache-2.0
+"""The conformance kit's second half: a driver's node against docs/topics.md, from outside.
 
-It takes the controller's place, answers states with small commands, then does what goes wrong in
-life: bad messages, silence, a commander that starts anew, the e-stop, one that goes and comes
-back. It asks for nothing but the topics; where the node also publishes `events`, `truth` or
-diagnostics, these say what the actuator does, and where it does not, what they would have told is
-said to be unseen. Results are JSON lines on standard output, for ``dz driver check``.
+It takes the controller's place, answers states with small commands, then provokes: bad messages,
+silence, a commander that restarts, the e-stop, a commander that goes and comes back. It needs
+nothing but the topics; where the node also publishes `events`, `truth` or diagnostics, these show
+what the actuator does; where it does not, that is reported as unseen. Results are JSON lines on
+standard output, for ``dz driver check``.
+
+Over 300 lines: the checks share one stream of evidence.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 import json
 import math
 import sys
 import time
-from typing import Any
-
-from rcl_interfaces.msg import ParameterDescriptor
-from std_msgs.msg import Bool
 
 from dz_ros.core.records import Command
-from dz_ros.drivers.conformance import Result, wave
-from dz_ros.drivers.stream_figures import figures
-from dz_ros.errors import LoopError
-from dz_ros.nodes.base import LoopNode
-from dz_ros.nodes.check_evidence import Evidence
-from dz_ros.nodes.guarded import LATCHED
-from dz_ros.nodes.parameters import configure
+from dz_ros.drivers.conformance.driver_checks import wave
+from dz_ros.drivers.conformance.machine import lateness, MachineWatch
+from dz_ros.drivers.conformance.result import Result
+from dz_ros.drivers.conformance.stream_checks import check_stream
+from dz_ros.errors import DriverError, LoopError
+from dz_ros.nodes.parts.check_evidence import Evidence
+from dz_ros.nodes.ros.base import LoopNode
+from dz_ros.nodes.ros.estop import EstopTopic
+from dz_ros.nodes.ros.parameters import configure
 
-PATIENCE = 15.0
+FIRST_STATE = 15.0
 """A node must publish its first state within this [s]."""
-SPAN = 3.0
+WATCH_DURATION = 3.0
 """How long it is watched while all is well [s]."""
-HELD, HOLD = 10, 0.5
-"""Every tenth command is held back for half a period, which round_trip must show."""
-BACK = 5.0
+DELAY_EVERY, DELAY_PERIODS = 10, 0.5
+"""One command in ten is sent half a period later, which round_trip must show."""
+RECOVERY = 5.0
 """After a stop, commands must act again within this [s]."""
-STILL = 0.1
-"""A check that fails is made once more if no state came for longer than this, and 5 T [s]."""
+STANDSTILL = 0.1
+"""A check that fails is repeated if no state came for longer than this, and 5 T [s]."""
 
 
 class CheckNode(LoopNode):
-    """Stands in for the controller and reports."""
+    """Replaces the controller and reports."""
 
     def __init__(self) -> None:
         super().__init__('controller_node')
         self.configuration = configure(self, 'loop', 'structure', 'safety')
 
-        def given(name: str, default: Any, description: str) -> Any:
-            return self.declare_parameter(name, default, ParameterDescriptor(
-                read_only=True, description=description)).value
-
-        self._amplitude = given('amplitude', 0.1, 'largest command sent [command unit]')
-        self._limit = given('limit', 0.0, 'send twice this, which the driver must limit; 0 = do '
-                            'not [command unit]')
-        self._only = given('only', '', 'the one check to make, under this name; empty = all')
+        self._amplitude = self.given('amplitude', 0.1, 'largest command sent [command unit]')
+        self._limit = self.given('limit', 0.0, 'send twice this, which the driver must limit; '
+                                 '0 = do not [command unit]')
+        self._only = self.given('only', '', 'the one check to make, under this name; empty = all')
         self._period = self.configuration.loop.period
         self._safe = self.configuration.safety.safe_command
         self._evidence = Evidence(self, self._answer)
-        self._estop = self.create_publisher(Bool, 'estop', LATCHED)
+        self._estop = EstopTopic(self)
+        self.unspun += self._estop.subscriptions
+        self.urgent = self._check_estop
         self._seq = 0
         self._answering = self._holding = False
         self._v: float | None = None
+
+    def _check_estop(self) -> None:
+        """Raise DriverError where another node presses the e-stop; ends repeat this node's."""
+        pressed = self._estop.receive() - {None}
+        if pressed and pressed - self._estop.ends():
+            raise DriverError('e-stop pressed by another node: no more is checked')
 
     def run(self) -> None:
         """Make the checks, write the results.
 
         Raises:
-            LoopError: Nobody publishes states.
+            LoopError: No node publishes states.
+            DriverError: Another node presses the e-stop.
         """
-        results = self._alone() if self._only else self._all()
-        for result in results:
-            if self.stopping:
-                return
-            sys.stdout.write(json.dumps(asdict(result)) + '\n')
-            sys.stdout.flush()
+        with MachineWatch() as self._watch:
+            for result in self._alone() if self._only else self._all():
+                if self.stopping:
+                    return
+                sys.stdout.write(json.dumps(asdict(result)) + '\n')
+                sys.stdout.flush()
 
     def _alone(self) -> Iterator[Result]:
-        """Whether states come and commands act."""
         started = time.monotonic()
         self._connect()
-        acts = self._acts(BACK)
+        acts = self._acts(RECOVERY)
         yield Result(self._only, acts, f'{time.monotonic() - started:.2f} s',
-                     f'<= {PATIENCE + BACK:g} s', '' if acts else 'no command acts')
+                     f'<= {FIRST_STATE + RECOVERY:g} s', '' if acts else 'no command acts')
 
     def _all(self) -> Iterator[Result]:
         self._connect()
         evidence = self._evidence
         if evidence.wrong_labels:
             yield Result('order and labels', False, evidence.wrong_labels, 'of order '
-                         f'{self.configuration.plant.order}', 'docs/topics.md says which')
+                         f'{self.configuration.plant.order}', 'see docs/topics.md')
             return
-        self._acts(BACK)
+        self._acts(RECOVERY)
         evidence.begin()
+        self._watch.stalls()
         self._holding = True
-        self._wait(SPAN)
+        self._wait(WATCH_DURATION)
         self._holding = False
-        yield from figures(evidence.states, evidence.arrivals, evidence.commands,
-                           self._period, self.configuration.plant.order, evidence.taken)
+        yield from check_stream(
+            evidence.states, evidence.arrivals, evidence.commands, self._period,
+            self.configuration.plant.order, evidence.taken, self._watch.stalls())
         for name, check in (
                 ('bad messages refused', self._bad_messages), ('saturation', self._saturation),
                 ('stale command', self._silence), ('commander restarts', self._new_commander),
                 ('e-stop', self._stop), ('reset', self._way_out),
                 ('disconnect and reconnect', self._gone_and_back)):
-            evidence.listen()
+            evidence.begin_silence()
+            self._watch.stalls()
             try:
                 result = check(name)
-                if result.passed is False and evidence.silence() > max(STILL, 5.0 * self._period):
+                stood_still = evidence.silence() > max(STANDSTILL, 5.0 * self._period)
+                if result.passed is False and stood_still:
                     # It proves nothing: the machine stood still, commands aged, a fault latched.
                     self._answering = True
-                    self._estop.publish(Bool(data=False))
+                    self._estop.publish(False)
                     self._wait(0.2)
-                    evidence.reset(BACK)
-                    self._acts(BACK)
+                    evidence.reset(RECOVERY)
+                    self._acts(RECOVERY)
                     result = check(name)
+            except DriverError:
+                raise
             except LoopError as error:
                 yield Result(name, False, 'silence', 'publishes states', str(error))
                 raise
-            yield result
+            late = lateness(self._watch.stalls()) if result.passed is False else ''
+            yield replace(result, words='; '.join(filter(None, (result.words, late))))
 
     # The checks that provoke.
 
@@ -166,7 +178,7 @@ class CheckNode(LoopNode):
         self._wait(0.2)
         if held is None and reported is None:
             return Result(name, None, 'sent', 'limited and reported', 'neither truth nor '
-                          'diagnostics say what the actuator holds')
+                          'diagnostics show what the actuator holds')
         more = reported is not None and reported > (held_back or 0)
         kept = held is None or held <= limit * (1.0 + 1e-6)
         return Result(name, kept and more,
@@ -188,8 +200,8 @@ class CheckNode(LoopNode):
         if not self._amplitude:
             return Result(name, None, 'unseen', limit, 'with amplitude 0 the last command is the '
                           'safe one')
-        if samples is None and not self._evidence.tells:
-            return Result(name, None, 'unseen', limit, 'neither events nor truth say when the '
+        if samples is None and not self._evidence.reports:
+            return Result(name, None, 'unseen', limit, 'neither events nor truth show when the '
                           'actuator takes the safe command')
         if samples is None:
             return Result(name, False, 'never', limit, 'the last command acts on')
@@ -197,43 +209,43 @@ class CheckNode(LoopNode):
                       '' if samples <= hold + 2 else 'the last command acts for too long')
 
     def _new_commander(self, name: str) -> Result:
-        """A commander that starts anew after a silence counts from 0."""
+        """A commander that restarts after a silence counts from 0."""
         self._answering = False
         self._wait((self.configuration.safety.command_hold + 20) * self._period)
         self._answering = True
-        acts = self._acts(BACK, fresh=True)
+        acts = self._acts(RECOVERY, fresh=True)
         return Result(name, acts, 'acts' if acts else 'does not act',
-                      f'within {BACK:g} s', '' if acts else 'commands that count from 0 again '
+                      f'within {RECOVERY:g} s', '' if acts else 'commands that count from 0 again '
                       'after a silence are not taken')
 
     def _stop(self, name: str) -> Result:
         """The e-stop by its topic."""
         self._evidence.note('stop')
-        self._estop.publish(Bool(data=True))
+        self._estop.publish(True)
         self._wait(0.5)
         echoed = {item.echo_seq for item in self._evidence.states[-20:]}
         safe = self._evidence.safe_after(self._safe)
         ignored = len(echoed) == 1
-        told = not self._evidence.tells or safe is not None
+        seen = not self._evidence.reports or safe is not None
         words = ('commands act although the e-stop is pressed' if not ignored else
-                 '' if told else 'the safe command was not taken')
-        return Result(name, ignored and told, f'{max(len(echoed) - 1, 0)} commands acted', '0',
+                 '' if seen else 'the safe command was not taken')
+        return Result(name, ignored and seen, f'{max(len(echoed) - 1, 0)} commands acted', '0',
                       words)
 
     def _way_out(self, name: str) -> Result:
         """The way out of the e-stop."""
-        self._estop.publish(Bool(data=True))
+        self._estop.publish(True)
         self._wait(0.2)
-        self._estop.publish(Bool(data=False))
+        self._estop.publish(False)
         self._wait(0.2)
-        refused = self._evidence.reset(BACK)
-        acts = self._acts(BACK)
+        refused = self._evidence.reset(RECOVERY)
+        acts = self._acts(RECOVERY)
         return Result(name, acts and not refused, 'acts' if acts else 'does not act',
-                      f'within {BACK:g} s', refused or ('' if acts else 'no command acts after '
-                                                        'the reset'))
+                      f'within {RECOVERY:g} s', refused or (
+                          '' if acts else 'no command acts after the reset'))
 
     def _gone_and_back(self, name: str) -> Result:
-        """The commander's publisher goes altogether and comes back."""
+        """The commander's publisher goes and comes back."""
         self._answering = False
         self._evidence.disconnect()
         self._wait(self.configuration.safety.fault_after * self._period + 0.5)
@@ -242,40 +254,34 @@ class CheckNode(LoopNode):
         self._answering = True
         acts = self._acts(1.0, fresh=True)
         if not acts:
-            self._evidence.reset(BACK)
-            acts = self._acts(BACK)
+            self._evidence.reset(RECOVERY)
+            acts = self._acts(RECOVERY)
         return Result(name, acts, f'{time.monotonic() - started:.2f} s',
-                      f'<= {BACK:g} s', '' if acts else 'no command acts when the commander is '
-                      'back, reset or not')
+                      f'<= {RECOVERY:g} s', '' if acts else
+                      'no command acts when the commander is back, reset or not')
 
     def _connect(self) -> None:
         """Wait for states, and begin to answer them."""
         self._answering = True
         seen = self._evidence
-        self.spin_until(time.monotonic() + PATIENCE,
+        self.spin_until(time.monotonic() + FIRST_STATE,
                         lambda: bool(seen.states or seen.wrong_labels))
         if not (seen.states or seen.wrong_labels or self.stopping):
             raise LoopError(f'no state on {self.resolve_topic_name("state")} within '
-                            f'{PATIENCE:g} s: is the driver running in this ROS_DOMAIN_ID and '
-                            'namespace, and does it wait for nobody else (loop.peers)?')
+                            f'{FIRST_STATE:g} s: is the driver running in this ROS_DOMAIN_ID and '
+                            'namespace, and does it wait for no other node (loop.peers)?')
 
     def _answer(self, seq: int, stamp: float) -> None:
-        """Answer a state."""
         if not self._answering:
             return
         v = self._safe + self._amplitude * wave(stamp) if self._v is None else self._v
-        if self._holding and self._seq % HELD == 0:
-            time.sleep(HOLD * self._period)
+        if self._holding and self._seq % DELAY_EVERY == 0:
+            time.sleep(DELAY_PERIODS * self._period)
         self._evidence.command(Command(self._seq, stamp, v, seq, stamp))
         self._seq += 1
 
     def _acts(self, limit: float, fresh: bool = False) -> bool:
-        """Whether commands sent from now on are echoed, with their stamps, within a time [s].
-
-        Args:
-            limit: The time.
-            fresh: True where seq begins at 0 again: what was sent before is forgotten.
-        """
+        """Return whether commands, `fresh` ones from 0 on, are echoed within a time [s]."""
         seen = self._evidence
         if fresh:
             self._seq = 0
@@ -291,10 +297,10 @@ class CheckNode(LoopNode):
         return echoed()
 
     def _wait(self, span: float) -> None:
-        """Hear all that comes within a span [s], though the machine stand still meanwhile."""
+        """Receive for a time [s], longer where the machine stands still meanwhile."""
         states = self._evidence.states
         end, before = time.monotonic() + span, len(states)
         self.spin_until(end)
-        self.spin_until(end + BACK, lambda: len(states) - before >= 0.8 * span / self._period)
+        self.spin_until(end + RECOVERY, lambda: len(states) - before >= 0.8 * span / self._period)
         if len(states) == before and not self.stopping:
-            raise LoopError(f'no state for {BACK + span:g} s: it stopped publishing')
+            raise LoopError(f'no state for {RECOVERY + span:g} s: it stopped publishing')

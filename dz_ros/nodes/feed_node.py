@@ -1,8 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
 """A recorded run fed to a live controller: each sample waits for the command to the one before.
 
 Publishes `reference` and `state`, subscribes `command`, all in lockstep, so that nothing is lost
-and the controller's numbers do not depend on how fast anything is. What the controller answers is
-for a recorder. The twin without ROS is ``recording/exchanges.py``.
+and the controller's numbers do not depend on any speed. A recorder stores the answers. The samples
+are those of ``recording/exchanges.py``.
 """
 
 from __future__ import annotations
@@ -10,18 +11,16 @@ from __future__ import annotations
 from pathlib import Path
 import time
 
-from rcl_interfaces.msg import ParameterDescriptor
-
 from dz_ros.core.records import Command, Reference, State
 from dz_ros.errors import ConfigurationError, LoopError
-from dz_ros.nodes.base import LoopNode
-from dz_ros.nodes.parameters import configure
+from dz_ros.nodes.ros.base import LoopNode
+from dz_ros.nodes.ros.parameters import configure
 from dz_ros.recording.exchanges import Exchanges
-from dz_ros.recording.source import open_source
+from dz_ros.recording.run_source import open_source
 
-REPEAT = 0.25
+REPEAT_PERIOD = 0.25
 """A state that waits for its command is published again after each of these [s]."""
-GONE = 10.0
+COMMAND_TIMEOUT = 10.0
 """A command that does not come within this means that the controller is gone [s]."""
 
 
@@ -36,9 +35,9 @@ class FeedNode(LoopNode):
     def __init__(self) -> None:
         super().__init__('feed_node')
         self.configuration = configure(self, 'loop')
-        path = self._given('run', 'directory of the run, or its .mcap')
-        namespace = self._given('of', 'namespace of the loop in the run; / for the root, none = '
-                                'the only one')
+        path = self.given('run', '', 'directory of the run, or its .mcap')
+        namespace = self.given('of', '', 'namespace of the loop in the run; / for the root, '
+                               'none = the only one')
         if not path:
             raise ConfigurationError('run', path, 'must be the directory of a run')
         self._exchanges = Exchanges(open_source(Path(path)), namespace or None)
@@ -46,16 +45,10 @@ class FeedNode(LoopNode):
         self._publish_reference = self.offer('reference', Reference.labels(order))
         self._publish_state = self.offer('state', State.labels(order))
         self._answered = -1
-        self.take('command', Command.labels(), self._on_command)
-
-    def _given(self, name: str, description: str) -> str:
-        """Return a parameter that is text."""
-        value: str = self.declare_parameter(name, '', ParameterDescriptor(
-            read_only=True, description=description)).value
-        return value
+        self.subscribe('command', Command.labels(), self._on_command)
 
     def run(self) -> None:
-        """Feed the run to its end, or until told to end.
+        """Feed the run to its end, or until it is to end.
 
         Raises:
             LoopError: A command did not come, or the run is not for such a plant.
@@ -80,22 +73,18 @@ class FeedNode(LoopNode):
                                       'state or reference is not in the run')
 
     def _ask(self, state: State, reference: Reference) -> bool:
-        """Publish a sample until it is answered; return False if told to end before.
-
-        Raises:
-            LoopError: It was not answered.
-        """
+        """Publish a sample until it is answered; return False if it is to end before."""
         self._answered = -1
         asked = time.monotonic()
         self._publish_reference(reference.numbers())
         while not self.stopping:
             self._publish_state(state.numbers())
-            self.spin_until(time.monotonic() + REPEAT, lambda: self._answered == state.seq)
+            self.spin_until(time.monotonic() + REPEAT_PERIOD, lambda: self._answered == state.seq)
             if self._answered == state.seq:
                 return True
-            if time.monotonic() - asked > GONE:
-                raise LoopError(f'no command for sample {state.seq} within {GONE:g} s: the '
-                                'controller is gone')
+            if time.monotonic() - asked > COMMAND_TIMEOUT:
+                raise LoopError(f'no command for sample {state.seq} within {COMMAND_TIMEOUT:g} s: '
+                                'the controller is gone')
         return False
 
     def _on_command(self, numbers: tuple[float, ...]) -> None:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """When messages came, by a clock that a step of the wall clock does not disturb (ours).
 
 The middleware stamps what arrives with the wall clock, and messages are taken some time later,

@@ -1,21 +1,35 @@
-"""rosbag2's ``metadata.yaml``, version 9 (Jazzy), for a bag of one MCAP file.
+# SPDX-License-Identifier: Apache-2.0
+"""rosbag2's ``metadata.yaml``: written as version 9 (Jazzy) for one MCAP file, read as any.
 
 The same fields in the same order as rosbag2_storage writes them; compression is left empty
-because the chunks inside the MCAP file are compressed, not the file or its messages.
+because the chunks inside the MCAP file are compressed, not the file or its messages. What is read
+is a description by another program; where the two differ the storage decides.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+import errno
+import os
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from dz_ros.files.yaml12 import parse, parse_file, YamlError
+
 FILE_NAME = 'metadata.yaml'
 _NO_MESSAGE = 2**63 - 1
 """Start of a bag without messages."""
+VERSIONS = range(1, 10)
+"""Versions of metadata.yaml there are."""
+_ROOT = 'rosbag2_bagfile_information'
+# What rosbag2 wrote before metadata version 9: the numbers of rmw/types.h.
+_NUMBERS = {'history': {1: 'keep_last', 2: 'keep_all'},
+            'reliability': {1: 'reliable', 2: 'best_effort'},
+            'durability': {1: 'transient_local', 2: 'volatile'}}
 
 
 @dataclass(frozen=True)
@@ -71,22 +85,60 @@ def to_yaml(contents: Any) -> str:
 
 
 def write_metadata(directory: Path, contents: Mapping[str, Any]) -> None:
-    """Write metadata.yaml so that it is there whole or not at all.
+    """Write metadata.yaml so that it is there whole or not at all; never over another one.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: It cannot be written, or is there.
     """
+    if (directory / FILE_NAME).exists():
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
     temporary = directory / f'{FILE_NAME}.tmp'
-    temporary.write_text(to_yaml({'rosbag2_bagfile_information': dict(contents)}),
-                         encoding='utf-8')
-    temporary.replace(directory / FILE_NAME)
-
-
-def read_metadata(directory: Path) -> dict[str, Any] | None:
-    """Return what metadata.yaml says of the bag; None where there is none that can be read."""
     try:
-        text = (directory / FILE_NAME).read_text(encoding='utf-8')
-        contents = yaml.safe_load(text)['rosbag2_bagfile_information']
-    except (OSError, ValueError, TypeError, KeyError, RecursionError, yaml.YAMLError):
-        return None
-    return contents if isinstance(contents, dict) else None
+        temporary.write_text(to_yaml({_ROOT: dict(contents)}),
+                             encoding='utf-8')
+        temporary.replace(directory / FILE_NAME)
+    except OSError:
+        with suppress(OSError):
+            temporary.unlink()
+        raise
+
+
+def read_metadata(directory: Path) -> tuple[dict[str, Any], str]:
+    """Return the contents of metadata.yaml, and why there are none.
+
+    Returns:
+        ``rosbag2_bagfile_information``, {} where there is none; what is wrong with it, '' where it
+        is right or is not there.
+    """
+    path = directory / FILE_NAME
+    try:
+        if not path.is_file():
+            return {}, ''
+        contents = parse_file(path, aliases=True)
+    except (OSError, YamlError) as error:
+        return {}, f'it cannot be read: {getattr(error, "strerror", None) or error}'
+    found = contents.get(_ROOT) if isinstance(contents, dict) else None
+    return (found, '') if isinstance(found, dict) and found else ({}, f'it has no {_ROOT}')
+
+
+def read_qos(profiles: Any) -> list[dict[str, Any]]:
+    """Return the profiles of a topic's publishers with their policies as text.
+
+    Args:
+        profiles: A list, or the text of one, as rosbag2 of any version writes it; what is none
+            has no profiles.
+    """
+    if isinstance(profiles, str):
+        try:
+            profiles = parse(profiles, aliases=True)
+        except YamlError:
+            profiles = None
+    return [{**item, **{policy: _word(policy, item.get(policy)) for policy in _NUMBERS}}
+            for item in profiles if isinstance(item, dict)] if isinstance(profiles, list) else []
+
+
+def _word(policy: str, value: Any) -> str:
+    """Return a policy's value as text, '' where it is not given."""
+    if isinstance(value, str):
+        return value
+    return _NUMBERS[policy].get(value, '') if type(value) is int else ''

@@ -1,4 +1,5 @@
-"""The messages of the loop, packed and unpacked by hand: arrays of doubles, text and the time.
+# SPDX-License-Identifier: Apache-2.0
+"""The messages of the loop, packed and unpacked without ROS: arrays of doubles, text and the time.
 
 CDR (OMG DDS-XTypes 7.4, classic encoding "version 1") as ROS 2 serialises ``std_msgs``. A payload
 is a 4-byte encapsulation header (kind of encoding, options) and a body; inside the body a number
@@ -10,8 +11,9 @@ elements.
     std_msgs/String                data
     rosgraph_msgs/Clock            sec (int32), nanosec (uint32)
 
-Every array of ours has one dimension whose label is the comma-separated names of its numbers.
-Pad bytes written here are zero; those of other writers may hold anything and are never compared.
+Every array of a loop of one axis has one dimension whose label is the comma-separated names of its
+numbers; those of several axes: ``recording/axes_cdr.py``. Pad bytes written here are zero; those
+of other writers may hold anything and are never compared.
 """
 
 from __future__ import annotations
@@ -22,13 +24,20 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
+from dz_ros.core.text import LONGEST, printable
 from dz_ros.errors import MessageError
 
 LITTLE_ENDIAN = b'\x00\x01\x00\x00'
 """Encapsulation header of plain CDR, little endian, no options."""
 
 HEADER = len(LITTLE_ENDIAN)
+LARGEST_ARRAY = 2**20
+"""Larger arrays are none of ours [bytes]."""
 _pack_time = struct.Struct(f'<{HEADER}siI').pack
+MAX_LABELS, MAX_LABEL = 4096, 128
+"""Numbers of a message that have names, and characters of a name, at most."""
+ANOTHER_NUMBER = 'another number of axes'
+"""Cause by which messages are counted that are those of a loop of several axes, or of one."""
 _MAX_TRAILING = 3
 """Bytes that a transport may append to fill the last word."""
 
@@ -38,9 +47,12 @@ class ArrayCodec:
 
     Attributes:
         labels: Names of the numbers.
+        axes: Names of the axes; empty: one, which is not named.
         size: Bytes of a payload.
         data_start: Place of the first double in a payload.
     """
+
+    axes: tuple[str, ...] = ()
 
     def __init__(self, labels: tuple[str, ...]) -> None:
         """Prepare the bytes that all messages with these labels share.
@@ -52,19 +64,24 @@ class ArrayCodec:
                 not name or ',' in name or '\0' in name for name in labels):
             raise MessageError(f'labels {labels!r}: must be different names without commas',
                                got=labels)
-        count = len(labels)
-        label = ','.join(labels).encode() + b'\0'
-        head = LITTLE_ENDIAN + struct.pack('<II', 1, len(label)) + label
-        middle = struct.pack('<IIII', count, count, 0, count)
-        middle_start = HEADER + _aligned(len(head) - HEADER, 4)
-        end = middle_start + len(middle)
         self.labels = labels
-        self.data_start = HEADER + _aligned(end - HEADER, 8)
+        count = len(labels)
+        self._lay_out([(','.join(labels), count, count)], count)
+
+    def _lay_out(self, dimensions: Sequence[tuple[str, int, int]], count: int) -> None:
+        """Prepare the bytes before `count` numbers of dimensions (label, size, stride)."""
+        self._fixed: list[tuple[int, bytes]] = []
+        prefix = LITTLE_ENDIAN
+        parts = [struct.pack('<I', len(dimensions))]
+        for label, *numbers in dimensions:
+            text = label.encode() + b'\0'
+            parts += [struct.pack('<I', len(text)) + text, struct.pack('<II', *numbers)]
+        for part in (*parts, struct.pack('<II', 0, count)):
+            start = HEADER + aligned(len(prefix) - HEADER, 4)
+            prefix = prefix.ljust(start, b'\0') + part
+            self._fixed.append((start, part))
+        self.data_start = HEADER + aligned(len(prefix) - HEADER, 8)
         self.size = self.data_start + 8 * count
-        self._head = head
-        self._middle = middle
-        self._middle_start = middle_start
-        prefix = head.ljust(middle_start, b'\0') + middle
         self._prefix = prefix.ljust(self.data_start, b'\0')
         self._pack = struct.Struct(f'<{len(self._prefix)}s{count}d').pack
         self._unpack_from = struct.Struct(f'<{count}d').unpack_from
@@ -83,8 +100,8 @@ class ArrayCodec:
 
     def matches(self, payload: bytes) -> bool:
         """Return whether the payload has the layout that `encode` writes, pad bytes aside."""
-        return (len(payload) == self.size and payload.startswith(self._head)
-                and payload.startswith(self._middle, self._middle_start))
+        return (len(payload) == self.size and payload.startswith(LITTLE_ENDIAN)
+                and all(payload.startswith(part, start) for start, part in self._fixed))
 
     def decode(self, payload: bytes) -> tuple[float, ...]:
         """Return the numbers of a payload, shape (len(labels),).
@@ -101,9 +118,12 @@ class ArrayCodec:
             raise MessageError(f'{error} (expected {", ".join(self.labels)})',
                                self.labels) from None
         if labels != self.labels:
-            found = ', '.join(labels) if labels else f'{len(values)} numbers without names'
-            raise MessageError(f'message carries {found}; expected {", ".join(self.labels)}',
-                               self.labels, labels)
+            found = (printable(', '.join(labels), LONGEST) if labels
+                     else f'{len(values)} numbers without names')
+            several = not labels and Body(payload).number() == 2
+            raise MessageError(f'message carries {found}; expected {", ".join(self.labels)}'
+                               + (', of one axis' if several else ''),
+                               self.labels, labels, ANOTHER_NUMBER if several else '')
         return values
 
     def decode_many(self, payloads: Sequence[bytes]) -> NDArray[np.float64] | None:
@@ -117,10 +137,9 @@ class ArrayCodec:
                 len(payload) != self.size for payload in payloads):
             return None
         table = table.reshape(-1, self.size)
-        middle = table[:, self._middle_start:self._middle_start + len(self._middle)]
-        if (table[:, :len(self._head)] != np.frombuffer(self._head, np.uint8)).any() or (
-                middle != np.frombuffer(self._middle, np.uint8)).any():
-            return None
+        for start, part in ((0, LITTLE_ENDIAN), *self._fixed):
+            if (table[:, start:start + len(part)] != np.frombuffer(part, np.uint8)).any():
+                return None
         return np.ascontiguousarray(table[:, self.data_start:]).view('<f8').astype(
             np.float64, copy=False)
 
@@ -138,22 +157,27 @@ def decode_array(payload: bytes) -> tuple[tuple[str, ...], tuple[float, ...]]:
     """Return (labels, numbers) of any std_msgs/Float64MultiArray, either byte order.
 
     Labels are () where the layout does not name the numbers one by one: no dimension, several,
-    a size or a label that is not for as many numbers as there are.
+    a size or a label that is not for as many numbers as there are, more than `MAX_LABELS` or names
+    longer than `MAX_LABEL`.
 
     Raises:
         MessageError: Not such a message, or cut off.
     """
-    body = _Body(payload)
-    dimensions = []
-    for _ in range(body.number()):
-        label, size, _stride = body.text(), body.number(), body.number()
-        dimensions.append((label, size))
+    if len(payload) > LARGEST_ARRAY:
+        raise MessageError(f'an array message of {len(payload)} bytes, at most {LARGEST_ARRAY} '
+                           'are read')
+    body = Body(payload)
+    dimensions = body.number()
+    label, size = '', -1
+    for _ in range(dimensions):
+        label, size, _ = body.text(), body.number(), body.number()     # stride
     offset = body.number()
     values = body.doubles(body.number())
     body.finish()
-    if len(dimensions) == 1 and dimensions[0][1] == len(values) and not offset:
-        labels = tuple(dimensions[0][0].split(','))
-        if len(labels) == len(values) and all(labels):
+    if (dimensions == 1 and size == len(values) <= MAX_LABELS
+            and len(label) <= MAX_LABELS * MAX_LABEL and not offset):
+        labels = tuple(label.split(','))
+        if len(labels) == len(values) and all(0 < len(item) <= MAX_LABEL for item in labels):
             return labels, values
     return (), values
 
@@ -179,18 +203,18 @@ def decode_string(payload: bytes) -> str:
     Raises:
         MessageError: Not such a message, or cut off.
     """
-    body = _Body(payload)
+    body = Body(payload)
     text = body.text()
     body.finish()
     return text
 
 
-def _aligned(position: int, size: int) -> int:
+def aligned(position: int, size: int) -> int:
     """Return the first multiple of size from position on."""
     return -(-position // size) * size
 
 
-class _Body:
+class Body:
     """A cursor over the body of a payload; every step raises MessageError where bytes lack."""
 
     def __init__(self, payload: bytes) -> None:
@@ -202,7 +226,7 @@ class _Body:
         self._position = 0
 
     def _take(self, size: int, alignment: int) -> int:
-        start = _aligned(self._position, alignment)
+        start = aligned(self._position, alignment)
         if start + size > len(self._data):
             raise MessageError(f'message is cut off: {start + size} bytes announced, '
                                f'{len(self._data)} there')
@@ -227,7 +251,7 @@ class _Body:
     def doubles(self, count: int) -> tuple[float, ...]:
         """Return the next `count` doubles."""
         if not count:      # some writers align for the element that does not come, some do not
-            self._position = min(_aligned(self._position, 8), len(self._data))
+            self._position = min(aligned(self._position, 8), len(self._data))
             return ()
         start = self._take(8 * count, 8)
         return struct.unpack_from(f'{self._order}{count}d', self._data, start)

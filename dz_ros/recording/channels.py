@@ -1,4 +1,5 @@
-"""What a run records: its channels, their message types and their quality of service, once.
+# SPDX-License-Identifier: Apache-2.0
+"""Channels of a run, their message types and their quality of service, defined once.
 
 A channel is the encoding of a record (`dz_ros.core.records`) on a topic and in a file. Type
 names, definitions and hashes are those ROS 2 Jazzy gives the two message types; they are kept
@@ -63,7 +64,7 @@ class RecordChannel:
         name: Topic name without namespace, and key of `RunData.channels`.
         type: Its message type.
         qos: What its publisher offers.
-        description: What it carries, from whom to whom.
+        description: What it carries, from which node to which.
     """
 
     name: str
@@ -92,10 +93,10 @@ CHANNELS: Mapping[str, RecordChannel] = {item.name: item for item in (
     RecordChannel('reference', ARRAY, Qos(), 'desired motion, trajectory → controller'),
     RecordChannel('state', ARRAY, Qos(), 'measured state, plant or driver → controller'),
     RecordChannel('command', ARRAY, Qos(), 'command, controller → plant or driver'),
-    RecordChannel('terms', ARRAY, Qos(), 'every term of the law, controller → who looks'),
-    RecordChannel('truth', ARRAY, Qos(), 'what only a simulated plant knows, plant → who looks'),
+    RecordChannel('terms', ARRAY, Qos(), 'every term of the law, controller → any subscriber'),
+    RecordChannel('truth', ARRAY, Qos(), 'known of a simulated plant alone, to any subscriber'),
     RecordChannel('events', TEXT, Qos(depth=200, durability='transient_local'),
-                  'what happened, as JSON text, every node → who looks'),
+                  'what happened, as JSON text, every node → any subscriber'),
 )}
 """The channels of a run by name."""
 

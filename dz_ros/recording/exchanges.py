@@ -1,4 +1,5 @@
-"""What a controller answered in a run, sample by sample: state, and the reference it used for it.
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs of a controller in a run, sample by sample: state answered and reference used.
 
 The terms of each command name both. Fed in this order to a controller that waits for its
 reference, the same law meets the same numbers again, however the messages overtook each other on
@@ -16,13 +17,13 @@ from collections import deque
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from dz_ros.core.controller import SNAP
+from dz_ros.core.loop.controller import SNAP
 from dz_ros.core.records import Reference, State
 from dz_ros.errors import MessageError, RecordingError
-from dz_ros.recording.cdr import ArrayCodec, decode_array
+from dz_ros.recording.axes_cdr import decode_axes
+from dz_ros.recording.cdr import ArrayCodec
 from dz_ros.recording.channels import ARRAY
-from dz_ros.recording.outline import recorded_topics
-from dz_ros.recording.source import Source
+from dz_ros.recording.run_source import Source
 
 WINDOW = 1000
 """Messages of a topic kept while what belongs to them has not come."""
@@ -56,7 +57,7 @@ class Exchanges:
     """
 
     def __init__(self, source: Source, namespace: str | None = None) -> None:
-        topics = recorded_topics(source)
+        topics = source.recorded_topics()
         arrays = {name for name, topic in topics.items() if topic.type_name == ARRAY.name}
         places = sorted(name[:-len('state')] for name in arrays if name.endswith('/state'))
         if namespace is not None:
@@ -94,7 +95,7 @@ class Exchanges:
             yield from self._ready(True)
 
     def _ready(self, give_up: bool) -> Iterator[Exchange]:
-        """Yield the samples that are complete; give up on one that is not, if told to."""
+        """Yield the samples that are complete; give up on the first that is not, if asked to."""
         while self._queue:
             seq, used = self._queue[0]
             if seq != self._last:       # a repeated state is answered again, by the same command
@@ -111,11 +112,7 @@ class Exchanges:
             self._queue.popleft()
 
     def _take(self, name: str, payload: bytes) -> None:
-        """Keep what is needed of a message.
-
-        Raises:
-            RecordingError: Its numbers are not those of such a record.
-        """
+        """Keep what is needed of a message."""
         try:
             numbers = self._decode(name, payload)
             if name == 'state':
@@ -133,14 +130,13 @@ class Exchanges:
             raise RecordingError(f'{self._source.path}: {name}: {error}') from None
 
     def _decode(self, name: str, payload: bytes) -> tuple[float, ...]:
-        """Return the numbers of a message.
-
-        Raises:
-            MessageError: They are not those of such a record.
-        """
+        """Return the numbers of a message."""
         codec = self._codecs.get(name)
         if codec is None:
-            labels = decode_array(payload)[0]
+            axes, labels, _ = decode_axes(payload)
+            if axes:
+                raise MessageError(f'message of axes {", ".join(axes)}; the commands of a loop '
+                                   'of one axis can be repeated')
             if not _NEEDED[name] <= set(labels) or labels[:2] != ('seq', 'stamp'):
                 raise MessageError(f'message carries {", ".join(labels) or "no names"}')
             codec = self._codecs[name] = ArrayCodec(labels)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The summary at the end of a whole MCAP file, where it can be trusted.
 
     Schema*, Channel*, Statistics, ChunkIndex*, MetadataIndex*, SummaryOffset*, Footer, magic
@@ -15,11 +16,14 @@ from typing import BinaryIO
 import zlib
 
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 
 HEAD = struct.Struct('<BQ')
 """What every record begins with: its kind and the bytes that follow."""
+_LARGEST = 2**28
+"""Largest summary that is read [bytes]."""
 _END = struct.Struct('<BQQQI8s')
 
 
@@ -43,18 +47,21 @@ def read_index(file: BinaryIO) -> Index:
         return Index()
     file.seek(size - _END.size)
     opcode, _, start, _, crc, _ = _END.unpack(file.read(_END.size))
-    if opcode != Opcode.FOOTER or not 0 < start < size:
+    if opcode != Opcode.FOOTER or not max(0, size - _LARGEST) < start < size:
         return Index()
     file.seek(start)
     data = file.read(size - start - 12)         # up to the checksum and the magic
     if zlib.crc32(data) != crc:
         return Index()
     definitions, chunks = [], []
-    for kind, body in _records(data):
-        if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
-            definitions.append((kind, body))
-        elif kind == Opcode.CHUNK_INDEX:
-            chunks.append(ChunkIndex.read(ReadDataStream(BytesIO(body))).chunk_start_offset)
+    try:
+        for kind, body in _records(data):
+            if kind in (Opcode.SCHEMA, Opcode.CHANNEL):
+                definitions.append((kind, body))
+            elif kind == Opcode.CHUNK_INDEX:
+                chunks.append(ChunkIndex.read(ReadDataStream(BytesIO(body))).chunk_start_offset)
+    except (McapError, struct.error, ValueError):
+        return Index()
     return Index(tuple(definitions), tuple(sorted(chunks)))
 
 

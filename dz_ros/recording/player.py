@@ -1,4 +1,5 @@
-"""Which message of a run to publish when: the twin without ROS of ``nodes/replay_node.py``.
+# SPDX-License-Identifier: Apache-2.0
+"""Deadlines of the messages of a run; the ROS-free part of ``nodes/replay_node.py``.
 
 A message logged at t is due at
 
@@ -6,8 +7,8 @@ A message logged at t is due at
 
 on the steady clock, an absolute deadline: lateness of one message never moves another. Messages
 keep the order of their recording, same times included; where the log's clock stepped back, a
-message is due with the one before it. The anchor of that line moves only when someone pauses,
-seeks or changes the rate.
+message is due with the one before it. The anchor of that line moves only by a pause, a
+seek or another rate.
 
 The run is streamed, `READ_AHEAD` messages at a time, so it may be larger than memory. A lap of a
 loop begins where the one before it ended.
@@ -21,13 +22,13 @@ import math
 import time
 from typing import NamedTuple
 
+from dz_ros.core.statistics import LATE
 from dz_ros.errors import ConfigurationError, RecordingError
-from dz_ros.recording.mcap_file import Message
+from dz_ros.recording.messages import Message
 
 READ_AHEAD = 1000
 """Messages kept ready."""
-LATE_NS = 1_000_000
-"""A message taken later than this after its deadline counts as late [ns]."""
+LATE_NS = round(LATE * 1e9)
 RATES = (1e-6, 1e9)
 """Allowed rates."""
 _SHORTEST_LAP_NS = 1_000_000
@@ -107,7 +108,7 @@ class Player:
 
     @property
     def finished(self) -> bool:
-        """Whether everything was taken, and nobody holds the player to seek."""
+        """Whether everything was taken and the player is not paused."""
         return self._ended and not self._queue and not self.paused
 
     @property
@@ -235,10 +236,7 @@ class Player:
         return message
 
     def _items(self, begin: int) -> Iterator[list[_Due]]:
-        """Yield what is to be played from a time of the log on, lap by lap, some at a time.
-
-        A list may be empty: what was read holds nothing to be played.
-        """
+        """Yield what is to be played from a time of the log on, lap by lap, some at a time."""
         laps = 0
         while True:
             played = over = False

@@ -1,30 +1,37 @@
-"""Reading a run, of ours or of rosbag2, whole or cut off, into arrays; and what it says of itself.
+# SPDX-License-Identifier: Apache-2.0
+"""Reading a run, of ours or of rosbag2, whole or cut off, into arrays; and its description.
 
 A topic is one of the run's channels by the last part of its name and its type: ``/arm/state`` is
 the state of the namespace ``/arm``. What was recorded without metadata of ours (``ros2 bag
-record``) still tells its configuration if the events are in it: every node states its own.
+record``) still has its configuration if the events are in it: every node states its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from dz_ros.core.dataset import RunData
+from dz_ros.core.events import EventError, parse
 from dz_ros.errors import MessageError, RecordingError
 from dz_ros.recording.cdr import decode_string
 from dz_ros.recording.channels import ARRAY, CHANNELS, EVENTS
-from dz_ros.recording.description import configuration_info
-from dz_ros.recording.mcap_file import Message, Topic
-from dz_ros.recording.sequence import TopicCounter
-from dz_ros.recording.source import open_source, Source
+from dz_ros.recording.messages import Message
+from dz_ros.recording.run_description import configuration_info, renamed_topics
+from dz_ros.recording.run_source import open_source, Source
 from dz_ros.recording.summary import TopicSummary
 from dz_ros.recording.tables import Table
+from dz_ros.recording.topic_sequence import TopicCounter
+from dz_ros.runs.history import RunHistory
 
 Event = tuple[int, str, str]
+
+MOST_EVENT_BYTES = 2**28
+"""Events are all kept in memory; a loop has some hundred."""
+_EVENT_BYTES = 250
+"""What one costs besides its text."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +46,10 @@ class RunInfo:
         topics: Topic name → messages, bytes, holes in seq.
         start_ns: Log time of the first message [ns since the epoch]; None = no message.
         duration: From the first to the last message [s].
-        info: mode, plant, law, host, seed, versions, …, as far as the run says.
+        info: mode, plant, law, host, seed, versions, …, as far as they are recorded.
         cut: Where it was cut off; empty for a whole run.
+        notes: Where metadata.yaml differs from the files, and other remarks.
+        axes: Topic name → names of the axes in its messages, of topics of several.
     """
 
     path: Path
@@ -52,6 +61,8 @@ class RunInfo:
     duration: float
     info: Mapping[str, str]
     cut: str = ''
+    notes: tuple[str, ...] = ()
+    axes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def complete(self) -> bool:
@@ -67,7 +78,7 @@ class RunInfo:
 def read_run(path: Path, namespace: str | None = None) -> RunData:
     """Return a run as arrays.
 
-    ``info['cut']`` says where a run was cut off; everything before the cut is read.
+    ``info['cut']`` names the place where a run was cut off; everything before the cut is read.
 
     Args:
         path: Run directory, rosbag2 directory, .mcap or .db3 file.
@@ -79,32 +90,41 @@ def read_run(path: Path, namespace: str | None = None) -> RunData:
         RecordingError: Not a run of dz_ros, or several loops are in it.
     """
     source = open_source(path)
+    plain = _PlainNames(source)
     wanted = None if namespace is None else '/' + namespace.strip('/')
     tables: dict[str, Table] = {}
     events: dict[str, list[Event]] = {}
+    room = MOST_EVENT_BYTES
     try:
         for batch in source.batches():
             for name, messages in _by_topic(batch).items():
-                place, channel = _split(name)
-                if not _is_channel(source.topics[name]) or wanted not in (None, place):
+                place, channel = plain[name]
+                if not source.topics[name].is_channel(channel) or wanted not in (None, place):
                     continue
                 if channel == EVENTS:
+                    room = _take_events(source, messages, room)
                     events.setdefault(place, []).extend(_event(item) for item in messages)
                     continue
                 _, payloads, log_times, publish_times = zip(*messages, strict=True)
                 tables.setdefault(name, Table(name)).add(payloads, log_times, publish_times)
     except MessageError as error:
         raise RecordingError(f'{path}: {error}') from None
-    chosen = _choose(source, wanted, {_split(name)[0] for name in tables} or set(events))
+    chosen = _choose(source, wanted, {plain[name][0] for name in tables} or set(events))
     found = events.get(chosen, [])
     configuration = source.configuration() or _stated(found)
     info = {**configuration_info(configuration), **source.info()}
     if source.cut:
         info['cut'] = source.cut
-    chosen_tables = {_split(name)[1]: table for name, table in tables.items()
-                     if _split(name)[0] == chosen}
-    return RunData({name: chosen_tables[name].channel() for name in CHANNELS
-                    if name in chosen_tables}, configuration, info, tuple(found))
+    if source.notes:
+        info['notes'] = '; '.join(source.notes)
+    chosen_tables = {plain[name][1]: table for name, table in tables.items()
+                     if plain[name][0] == chosen}
+    try:
+        channels = {name: chosen_tables[name].channel() for name in CHANNELS
+                    if name in chosen_tables}
+    except MessageError as error:
+        raise RecordingError(f'{path}: {error}') from None
+    return RunData(channels, configuration, info, tuple(found))
 
 
 def run_info(path: Path) -> RunInfo:
@@ -116,10 +136,12 @@ def run_info(path: Path) -> RunInfo:
         RecordingError: Not a recording.
     """
     source = open_source(path)
+    plain = _PlainNames(source)
     counters: dict[str, TopicCounter] = {}
     first: int | None = None
     last = 0
     texts: list[Event] = []
+    room = MOST_EVENT_BYTES
     for batch in source.batches():
         for name, messages in _by_topic(batch).items():
             topic = source.topics[name]
@@ -129,7 +151,8 @@ def run_info(path: Path) -> RunInfo:
                                                         topic.type_name == ARRAY.name)
             for message in messages:
                 counter.add(message.payload)
-            if _split(name)[1] == EVENTS and _is_channel(topic):
+            if plain[name][1] == EVENTS and topic.is_channel(EVENTS):
+                room = _take_events(source, messages, room)
                 texts += [_event(message) for message in messages]
         times = [message.log_time for message in batch]
         first = min(times) if first is None else min(first, *times)
@@ -139,7 +162,8 @@ def run_info(path: Path) -> RunInfo:
         topic.type_name) for name, topic in source.topics.items()}
     return RunInfo(Path(path), source.storage, tuple(file.name for file in source.files),
                    source.size, topics, first, 0.0 if first is None else (last - first) * 1e-9,
-                   info, source.cut)
+                   info, source.cut, tuple(source.notes),
+                   {name: counter.axes for name, counter in counters.items() if counter.axes})
 
 
 def _by_topic(batch: Iterable[Message]) -> dict[str, list[Message]]:
@@ -156,19 +180,21 @@ def _split(topic: str) -> tuple[str, str]:
     return place or '/', name
 
 
-def _is_channel(topic: Topic) -> bool:
-    """Return whether the topic is one of a run's channels."""
-    channel = CHANNELS.get(_split(topic.name)[1])
-    return (channel is not None and topic.type_name == channel.type.name
-            and topic.encoding == 'cdr')
+class _PlainNames(dict[str, tuple[str, str]]):
+    """Topic → (namespace, channel name); of a remapped one those it had without."""
+
+    def __init__(self, source: Source) -> None:
+        super().__init__()
+        self._source = source
+
+    def __missing__(self, topic: str) -> tuple[str, str]:
+        """Look in the info, which is read with the first messages."""
+        self[topic] = _split(renamed_topics(self._source.info()).get(topic, topic))
+        return self[topic]
 
 
 def _choose(source: Source, wanted: str | None, there: set[str]) -> str:
-    """Return the namespace to read.
-
-    Raises:
-        RecordingError: There is none, not this one, or more than one.
-    """
+    """Return the namespace to read."""
     if wanted is not None and wanted in there:
         return wanted
     if wanted is None and len(there) == 1:
@@ -176,8 +202,9 @@ def _choose(source: Source, wanted: str | None, there: set[str]) -> str:
     if there:
         raise RecordingError(f'{source.path} holds several loops: {", ".join(sorted(there))}; '
                              'choose one by its namespace')
-    known = sorted({_split(name)[0] for name, topic in source.topics.items()
-                    if _is_channel(topic)})
+    plain = _PlainNames(source)
+    known = sorted({plain[name][0] for name, topic in source.topics.items()
+                    if topic.is_channel(plain[name][1])})
     if wanted is not None and known:
         raise RecordingError(f'{source.path} holds no messages of {wanted}; it has '
                              f'{", ".join(known)}')
@@ -190,37 +217,25 @@ def _choose(source: Source, wanted: str | None, there: set[str]) -> str:
 
 
 def _event(message: Message) -> Event:
-    """Return (log time, node, text) of an event; node is empty where the text names none.
-
-    Raises:
-        RecordingError: The message is no text.
-    """
+    """Return (log time, node, text) of an event; node is empty where the text names none."""
     try:
         text = decode_string(message.payload)
     except MessageError as error:
         raise RecordingError(f'topic {message.topic}: {error}') from None
-    contents = _json(text)
-    return message.log_time, str(contents.get('node', '')), text
-
-
-def _json(text: str) -> dict[str, Any]:
-    """Return the object a JSON text holds; {} where it holds none."""
     try:
-        contents = json.loads(text)
-    except (ValueError, RecursionError):
-        return {}
-    return contents if isinstance(contents, dict) else {}
+        return message.log_time, parse(text).node, text
+    except EventError:
+        return message.log_time, '', text
 
 
-def _stated(events: Iterable[Event]) -> dict[str, Any]:
-    """Return the configuration that the nodes stated, each its own part, the first time."""
-    found: dict[str, Any] = {}
-    for _, _, text in events:
-        event = _json(text)
-        configuration = event.get('configuration')
-        if event.get('event') == 'configuration' and isinstance(configuration, dict):
-            owns = event.get('owns')
-            for key, value in configuration.items():
-                if not isinstance(owns, list) or key.partition('.')[0] in owns:
-                    found.setdefault(key, value)
-    return found
+def _take_events(source: Source, messages: Iterable[Message], room: int) -> int:
+    """Return the bytes left for events after these."""
+    room -= sum(len(message.payload) + _EVENT_BYTES for message in messages)
+    if room < 0:
+        raise RecordingError(f'{source.path} holds more than {MOST_EVENT_BYTES} bytes of events')
+    return room
+
+
+def _stated(events: Sequence[Event]) -> dict[str, Any]:
+    """Return the configuration with which the nodes began, by their own events."""
+    return RunHistory.of(RunData({}, events=tuple(events))).began

@@ -1,4 +1,5 @@
-"""What a recording got, in numbers."""
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers of messages and bytes of a recording."""
 
 from __future__ import annotations
 
@@ -15,10 +16,10 @@ class TopicSummary:
         type_name: Message type.
         messages: Number of messages.
         bytes: Sum of their sizes, before compression.
-        missing: Numbers that never came between the first and the last.
+        missing: seq between the first and the last that no message carries.
         duplicates: Messages whose seq came before.
-        reordered: Messages that came after a later one.
-        restarts: Times the publisher began again at 0.
+        reordered: Messages out of order.
+        restarts: Number of restarts of the publisher.
     """
 
     type_name: str
@@ -42,7 +43,7 @@ class Summary:
         duration: From the first to the last message [s].
         complete: Whether the run was closed properly.
         lost: Messages that were given but could not be written.
-        notes: What a recovery had to leave out, in words.
+        notes: What a recovery had to leave out, as text.
     """
 
     directory: Path

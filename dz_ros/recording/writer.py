@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Writing a run: a directory that rosbag2, rosbags, PlotJuggler and Foxglove open as it is.
 
     NAME/NAME_0.mcap      profile ros2, messages as cdr, definitions as ros2msg, zstd chunks
@@ -6,27 +7,36 @@
 A chunk is closed after `CHUNK_BYTES` or `CHUNK_SECONDS`, whichever comes first, and handed to the
 system at once: what a killed process loses is the chunk it was filling. Every chunk, and in a
 closed file the whole of it, carries a CRC-32.
+
+Over 300 lines: chunks, counts and metadata are of one file and must agree at every flush.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 import json
 from pathlib import Path
 import time
-from typing import Any, BinaryIO
+from typing import Any
 
-from mcap.exceptions import McapError
+from mcap.records import Attachment
 from mcap.writer import CompressionType, Writer
 
-from dz_ros.errors import RecordingError, RunExistsError
-from dz_ros.recording import description
-from dz_ros.recording.bag_metadata import BagTopic, make_metadata, to_yaml, write_metadata
+from dz_ros.errors import RecordingError
+from dz_ros.recording import run_description as description
+from dz_ros.recording.bag_metadata import (
+    BagTopic,
+    FILE_NAME,
+    make_metadata,
+    to_yaml,
+    write_metadata,
+)
 from dz_ros.recording.channels import ARRAY, CHANNELS, MessageType, Qos, TYPES
-from dz_ros.recording.sequence import TopicCounter
+from dz_ros.recording.chunk_indices import pack_indices
+from dz_ros.recording.output_file import OutputFile
 from dz_ros.recording.summary import Summary
+from dz_ros.recording.topic_sequence import TopicCounter
 
 CHUNK_BYTES = 128 * 1024
 CHUNK_SECONDS = 0.5
@@ -46,65 +56,65 @@ class _Topic:
 class RunWriter:
     """Writes one run; a context manager that closes it.
 
-    Not safe for use by several threads: see `dz_ros.recording.queued`.
+    Not safe for use by several threads: see `dz_ros.recording.writer_thread`.
+
+    Attributes:
+        file: The MCAP file: where it is, what the disk refuses.
     """
 
     def __init__(self, directory: Path, info: Mapping[str, str],
-                 configuration: Mapping[str, Any], *,
+                 configuration: Mapping[str, Any], *, backlog: int = 0,
                  clock: Callable[[], float] = time.monotonic) -> None:
-        """Create the directory and store who and with which configuration.
+        """Create the directory and store description and configuration.
 
         Args:
             directory: Where the run goes; must not exist.
             info: mode, plant, law, host, seed, started, versions, … as text.
             configuration: Dotted key → value; {} where it is added later.
+            backlog: Bytes that wait in memory where the disk refuses them; what comes beyond is
+                refused. 0: nothing waits, the first refusal of the disk is final.
             clock: Seconds, decides when a chunk is old.
 
         Raises:
             RunExistsError: The directory exists.
             RecordingError: It cannot be created, or the configuration not be stored.
         """
-        self.directory = Path(directory)
-        self.path = self.directory / f'{self.directory.name}_0.mcap'
         self._info = {name: str(text) for name, text in info.items()}
         packed = description.pack_configuration(configuration) if configuration else None
         self._clock = clock
         self._topics: dict[str, _Topic] = {}
-        self._schemas: dict[str, int] = {}
+        self._schemas: dict[MessageType, int] = {}
         self._start_ns: int | None = None
-        self._end_ns = 0
-        self._open_bytes = 0
-        self._opened = 0.0
+        self._end_ns = self._open_bytes = 0
+        self._opened = self._tried = 0.0
         self._closed: Summary | None = None
-        self._failure: RecordingError | None = None
-        self._file = self._create()
-        self._safe = self._count()
+        self.file = OutputFile.in_new_directory(Path(directory))
+        self._chunked = self.file.stored
         try:
             self._begin(packed)
         except RecordingError:
-            self.path.unlink()
-            self.directory.rmdir()
+            self.file.discard()
             raise
+        self.file.backlog = backlog     # what does not fit at the start is refused
 
-    def _create(self) -> BinaryIO:
-        """Return the new MCAP file in its new directory."""
-        try:
-            self.directory.mkdir(parents=True)
-            return self.path.open('xb')
-        except FileExistsError:
-            raise RunExistsError(f'{self.directory} exists already and a run is never overwritten:'
-                                 ' choose another name or move it away') from None
-        except OSError as error:
-            raise RecordingError(f'{self.directory} cannot be created: '
-                                 f'{error.strerror or error}') from None
+    @property
+    def directory(self) -> Path:
+        """The run, where it is now."""
+        return self.file.directory
+
+    @property
+    def path(self) -> Path:
+        """The MCAP file, where it is now."""
+        return self.file.path
 
     def _begin(self, configuration: Mapping[str, str] | None) -> None:
         """Write what a cut file must hold already."""
         from dz_ros.version import version
         # Chunks are closed here, by size and age, and never by the library.
-        self._mcap = Writer(self._file, chunk_size=2**62, compression=CompressionType.ZSTD,
-                            enable_data_crcs=True)
-        self._guard(lambda: self._mcap.start('ros2', f'dz_ros {version()}'))
+        self._mcap = Writer(self.file, chunk_size=2**62,      # type: ignore[arg-type]
+                            compression=CompressionType.ZSTD, enable_data_crcs=True)
+        pack_indices(self._mcap)
+        self._mcap.start('ros2', f'dz_ros {version()}')
         self.add_metadata(description.INFO, self._info)
         if configuration is not None:
             self.add_metadata(description.CONFIGURATION, configuration)
@@ -137,11 +147,11 @@ class RunWriter:
             channel = CHANNELS.get(topic.rpartition('/')[2])
             qos = channel.qos if channel is not None else Qos()
         profiles = [qos.to_dict()] if isinstance(qos, Qos) else [dict(item) for item in qos]
-        if type_name not in self._schemas:
-            self._schemas[type_name] = self._mcap.register_schema(
-                type_name, kind.encoding, kind.definition.encode())
+        if kind not in self._schemas:
+            self._schemas[kind] = self._mcap.register_schema(
+                type_name, kind.encoding, kind.definition.encode(errors='surrogateescape'))
         channel_id = self._mcap.register_channel(
-            topic, 'cdr', self._schemas[type_name],
+            topic, 'cdr', self._schemas[kind],
             {'offered_qos_profiles': to_yaml(profiles).strip(), 'topic_type_hash': kind.type_hash})
         self._topics[topic] = _Topic(channel_id, BagTopic(topic, type_name, profiles,
                                                           kind.type_hash),
@@ -167,21 +177,21 @@ class RunWriter:
                                  'in nanoseconds since the epoch')
         self._usable()
         now = self._clock()
+        if self.file.full:
+            self.flush_if_due()
+            if self.file.full:
+                raise self.file.refuse()
         if not self._open_bytes:
             self._opened = now
         elif now - self._opened >= CHUNK_SECONDS:
             self.flush()
             self._opened = now
-        counter = known.counter
         self._mcap.add_message(known.channel_id, log_time_ns, payload, publish_time_ns,
-                               counter.messages & 0xFFFFFFFF)
-        counter.add(payload)
-        if self._start_ns is None:
-            self._start_ns = self._end_ns = log_time_ns
-        elif log_time_ns > self._end_ns:
-            self._end_ns = log_time_ns
-        elif log_time_ns < self._start_ns:
-            self._start_ns = log_time_ns
+                               known.counter.messages & 0xFFFFFFFF)
+        known.counter.add(payload)
+        self._start_ns = log_time_ns if self._start_ns is None else min(self._start_ns,
+                                                                        log_time_ns)
+        self._end_ns = max(self._end_ns, log_time_ns)
         self._open_bytes += len(payload) + _RECORD_BYTES
         if self._open_bytes >= CHUNK_BYTES:
             self.flush()
@@ -198,8 +208,15 @@ class RunWriter:
         record = {str(key): description.sendable(str(text)) for key, text in mapping.items()}
         if name.startswith(description.PREFIX):
             record = description.sealed(record)
-        self._guard(lambda: self._mcap.add_metadata(name, record))
-        self.flush()
+        self._mcap.add_metadata(name, record)
+        self._store()
+
+    def add_attachment(self, item: Attachment) -> None:
+        """Store an attachment as it is; errors as of `add_metadata`."""
+        self._usable()
+        self._mcap.add_attachment(item.create_time, item.log_time, item.name, item.media_type,
+                                  item.data)
+        self._store()
 
     def add_configuration(self, configuration: Mapping[str, Any]) -> None:
         """Store configuration that became known after the start; adds to what is there.
@@ -218,30 +235,35 @@ class RunWriter:
         """
         self._usable()
         self._open_bytes = 0
-        self._guard(self._mcap.flush)
-        self._safe = self._count()
+        self._mcap.flush()      # type: ignore[no-untyped-call]
+        self._chunked = self._count()
+        self._store()
 
     def flush_if_due(self) -> None:
-        """Close the chunk being filled if it is old; for whoever waits without writing.
+        """Close the chunk being filled if it is old, although nothing is written.
 
         Raises:
             RecordingError: The file cannot be written.
         """
-        if self._open_bytes and self._clock() - self._opened >= CHUNK_SECONDS:
+        now = self._clock()
+        old = self._open_bytes and now - self._opened >= CHUNK_SECONDS
+        if old or (self.file.waiting and now - self._tried >= CHUNK_SECONDS):
             self.flush()
+
+    def _store(self) -> None:
+        """Hand what is complete to the system; without a backlog, a refusal is final."""
+        self._tried = self._clock()
+        self.file.store(self._chunked)
 
     def summary(self) -> Summary:
         """Return what was written so far; of a broken file, what it holds at least."""
-        if self._failure is not None:
-            return self._safe
-        return self._closed or self._count()
+        return self.file.stored if self.file.failure else self._closed or self._count()
 
     def _count(self) -> Summary:
         """Return what was given so far."""
+        topics = {name: topic.counter.summary() for name, topic in self._topics.items()}
         start = self._start_ns
-        return Summary(self.directory, {name: topic.counter.summary()
-                                        for name, topic in self._topics.items()},
-                       self.path.stat().st_size, start,
+        return Summary(self.directory, topics, self.file.tell(), start,
                        0.0 if start is None else (self._end_ns - start) * 1e-9, complete=False)
 
     def close(self) -> Summary:
@@ -253,47 +275,39 @@ class RunWriter:
         if self._closed is not None:
             return self._closed
         self._usable()
+        self.file.check_place()
         self.flush()
+        self.file.backlog = 0   # nothing will be written later
         found = self.summary()
         self.add_metadata(description.SUMMARY, {
             'messages': str(found.messages), 'missing': str(found.missing),
             'duration': repr(found.duration),
             'topics': json.dumps({name: asdict(topic) for name, topic in found.topics.items()})})
-        contents = make_metadata(self.path.name, [(topic.bag, topic.counter.messages)
-                                                  for topic in self._topics.values()],
-                                 self._start_ns, self._end_ns, self._info)
-
-        self._guard(lambda: self._mcap.add_metadata(
-            'rosbag2', {'serialized_metadata': to_yaml(contents).strip()}))
-        self._guard(self._mcap.finish)
-        self._guard(self._file.close)
-        self._guard(lambda: write_metadata(self.directory, contents))
-        self._closed = replace(found, bytes=self.path.stat().st_size, complete=True)
+        topics = [(topic.bag, topic.counter.messages) for topic in self._topics.values()]
+        contents = make_metadata(self.path.name, topics, self._start_ns, self._end_ns, self._info)
+        self._mcap.add_metadata('rosbag2', {'serialized_metadata': to_yaml(contents).strip()})
+        self._mcap.finish()     # type: ignore[no-untyped-call]
+        self._store()
+        self.file.close()
+        try:
+            write_metadata(self.directory, contents)
+        except OSError as error:
+            raise self.file.fail(
+                f'{self.directory / FILE_NAME} cannot be written: {error.strerror or error}; the '
+                f'messages are whole in {self.path}: dz bag recover {self.directory}') from None
+        self._closed = replace(found, bytes=self.file.size, complete=True)
         return self._closed
 
     def __enter__(self) -> RunWriter:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        if self._failure is None:
+        if self.file.failure is None:
             self.close()
 
     def _usable(self) -> None:
         """Raise what broke the file before, or that it is closed."""
-        if self._failure is not None:
-            raise self._failure
+        if self.file.failure is not None:
+            raise self.file.failure
         if self._closed is not None:
             raise RecordingError(f'{self.directory} is closed')
-
-    def _guard(self, action: Callable[[], Any]) -> None:
-        """Run an action that writes; a failure closes the file and is final."""
-        try:
-            action()
-        except (OSError, McapError) as error:
-            reason = getattr(error, 'strerror', None) or error
-            self._failure = RecordingError(
-                f'{self.path} cannot be written: {reason}; what it holds is kept: '
-                f'dz bag recover {self.directory}')
-            with suppress(OSError):       # closing tries to write what failed once more
-                self._file.close()
-            raise self._failure from None

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One publisher for each topic of the loop on a machine: claims that die with their process.
 
 A claim is a listening socket in Linux's abstract namespace, named after domain and topic. It needs
@@ -17,11 +18,7 @@ MAX_DOMAIN = 232
 
 
 class ClaimedError(RuntimeError):
-    """Another process holds the claim.
-
-    Attributes:
-        pid: Its process id; 0 if it could not be found out.
-    """
+    """Another process holds the claim: `pid`, 0 if not known."""
 
     def __init__(self, name: str, pid: int) -> None:
         self.pid = pid
@@ -65,7 +62,7 @@ def domain_topic(topic: str) -> str:
 
 
 def _holder(name: str) -> int:
-    """Return the process id of whoever holds a claim, 0 if unknown."""
+    """Return the process id of the holder of a claim, 0 if unknown."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(1.0)
         try:

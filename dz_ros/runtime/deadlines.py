@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Absolute deadlines t0 + k T of the steady clock: no drift; an overrun skips whole periods."""
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""What a process asks of the operating system so that others cannot hold it up.
+# SPDX-License-Identifier: Apache-2.0
+"""Privileges a process asks of the operating system so that others cannot hold it up.
 
-Nothing of it is needed, and all of it may be refused: what is refused comes back as words, one for
-each, and the process goes on without. Linux; elsewhere everything is refused.
+None is needed, and all may be refused: refusals come back as text, and the process goes on
+without. Linux; elsewhere everything is refused.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pathlib import Path
 
 _CURRENT, _FUTURE, _ON_FAULT = 1, 2, 4
 ADVICE = ('run it as root, or allow it in /etc/security/limits.conf (rtprio 98, memlock '
-          'unlimited) and log in anew; dz doctor says what it would gain')
+          'unlimited) and log in again; dz doctor measures what it would gain')
 
 
 def usable_cores() -> list[int]:
@@ -29,11 +30,7 @@ def _threads() -> Iterable[int]:
 
 
 def use_fifo(priority: int) -> None:
-    """Let all threads run under SCHED_FIFO.
-
-    Raises:
-        OSError: Not permitted, or there is no such thing.
-    """
+    """Let all threads run under SCHED_FIFO; OSError where that is refused."""
     if not hasattr(os, 'sched_setscheduler'):
         raise OSError('not on this system')
     for thread in _threads():
@@ -41,11 +38,7 @@ def use_fifo(priority: int) -> None:
 
 
 def use_cores(cores: Iterable[int]) -> None:
-    """Let all threads run on these cores only.
-
-    Raises:
-        OSError: None of them exists or is allowed, or there is no such thing.
-    """
+    """Let all threads run on these cores only; OSError where that is refused."""
     if not hasattr(os, 'sched_setaffinity'):
         raise OSError('not on this system')
     for thread in _threads():
@@ -53,11 +46,7 @@ def use_cores(cores: Iterable[int]) -> None:
 
 
 def lock_memory() -> None:
-    """Keep what the process has touched, and will touch, in RAM.
-
-    Raises:
-        OSError: Not permitted, or there is no such thing.
-    """
+    """Keep the process's memory in RAM; OSError where that is refused."""
     library = ctypes.CDLL(None, use_errno=True)
     if not hasattr(library, 'mlockall'):
         raise OSError('not on this system')
@@ -67,7 +56,7 @@ def lock_memory() -> None:
 
 
 def ask(priority: int = 0, cores: Iterable[int] = (), lock: bool = False) -> list[str]:
-    """Ask for what is wanted; return what was refused, in words.
+    """Ask for privileges; return as text which were refused.
 
     Args:
         priority: SCHED_FIFO priority; 0 = none.

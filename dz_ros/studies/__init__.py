@@ -1,1 +1,2 @@
-"""Many closed loops off line: scenarios, the comparison of laws, sweeps, tuning."""
+# SPDX-License-Identifier: Apache-2.0
+"""Many closed loops offline: scenarios, the comparison of laws, sweeps, tuning."""

@@ -1,6 +1,7 @@
+# SPDX-License-Identifier: Apache-2.0
 """The comparison: every entrant in every scenario, its numbers in one table.
 
-A cell is an entrant in a scenario: the mean over the scenario's members (seeds, kicks), with the
+A cell is an entrant in a scenario: the mean over the scenario's members (seeds, pulses), with the
 smallest and the largest beside it. Everything follows from `Plan`: the same plan gives the same
 numbers, on one core or on many.
 """
@@ -81,7 +82,7 @@ class Plan:
         """Return a plan; without names it is all of them.
 
         Raises:
-            UnknownNameError: An entrant or scenario nobody knows.
+            UnknownNameError: An unknown entrant or scenario.
         """
         return cls(choose('laws', entrants(), laws),
                    choose('scenarios', scenarios(duration, seeds), chosen), duration, seeds)

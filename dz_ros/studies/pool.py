@@ -1,10 +1,12 @@
+# SPDX-License-Identifier: Apache-2.0
 """Many tasks on all cores of this machine, or on the workers of a dask.distributed scheduler.
 
 A task is a picklable call; results come as they are ready, each with its place. Numbers do not
 hang on how tasks are spread: a task carries everything it needs, seeds included.
 
 - one job: in this process
-- several: processes, started anew (spawn), so that nothing is inherited but the package
+- several: processes, each started fresh (spawn), so that nothing is inherited but the package;
+  interrupts do not reach them: they are killed where their results are not awaited any more
 - a cluster: any dask.distributed scheduler whose workers have dz_ros. What a worker was doing when
   it died is given to another one; what it had done and not yet handed over is done again.
 
@@ -18,10 +20,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from importlib.util import find_spec
 from itertools import chain, islice
 import multiprocessing
 import os
+import signal
 from typing import Any
 
 from dz_ros.errors import ConfigurationError, LoopError, MissingDependencyError
@@ -29,7 +33,7 @@ from dz_ros.errors import ConfigurationError, LoopError, MissingDependencyError
 Task = tuple[Callable[..., Any], tuple[Any, ...]]
 """A function and its arguments."""
 
-PATIENCE = 30
+SCHEDULER_TIMEOUT = 30
 """Longest wait for a scheduler to answer [s]."""
 AHEAD = 3
 """Tasks in flight for each worker: one at work, two so that it never waits for the next."""
@@ -68,14 +72,18 @@ def execute(tasks: Iterable[Task], jobs: int = 0,
         for place, (function, arguments) in waiting:
             yield place, function(*arguments)
         return
+    others = set(multiprocessing.active_children())
+    done = False
     with ProcessPoolExecutor(len(first), multiprocessing.get_context('spawn')) as pool:
         flying: dict[Future[Any], int] = {}
         try:
             while True:
-                for place, (function, arguments) in islice(waiting,
-                                                           AHEAD * len(first) - len(flying)):
-                    flying[pool.submit(function, *arguments)] = place
+                with _without_interrupts():     # a worker keeps the mask it was started with
+                    for place, (function, arguments) in islice(waiting,
+                                                               AHEAD * len(first) - len(flying)):
+                        flying[pool.submit(function, *arguments)] = place
                 if not flying:
+                    done = True
                     return
                 ready = wait(flying, return_when=FIRST_COMPLETED).done
                 while ready:
@@ -84,7 +92,20 @@ def execute(tasks: Iterable[Task], jobs: int = 0,
         except BrokenProcessPool as error:
             raise LoopError('a worker process was killed; fewer jobs need less memory') from error
         finally:
+            # Workers first: a queue that is closed while its thread writes would print an error.
+            for process in () if done else set(multiprocessing.active_children()) - others:
+                process.kill()
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Hold SIGINT back for a while."""
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
 def _on_cluster(waiting: Iterator[tuple[int, Task]], address: str) -> Iterator[tuple[int, Any]]:
@@ -95,7 +116,7 @@ def _on_cluster(waiting: Iterator[tuple[int, Task]], address: str) -> Iterator[t
     from distributed import as_completed, Client, KilledWorker
 
     try:
-        client = Client(address, timeout=PATIENCE, set_as_default=False)
+        client = Client(address, timeout=SCHEDULER_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
         raise ConfigurationError('--cluster', address,
                                  f'no scheduler answers there: {error}') from error

@@ -1,4 +1,5 @@
-"""Sweeps: thousands of runs off line, a row each, into a file that may be continued.
+# SPDX-License-Identifier: Apache-2.0
+"""Sweeps: thousands of runs offline, a row each, into a file that may be continued.
 
 The file is CSV: a comment line with the plan's fingerprint, a header, rows in the order in which
 they were done. Whatever ended a sweep, running it again reads what is there, drops a line that was

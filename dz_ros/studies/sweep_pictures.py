@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Maps of a sweep: error, total variation and loss over one key or two.
 
 Over them lies the boundary of chatter as the design rule gives it, (K + λ φ̂) b m T = μ_d, and the
@@ -13,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dz_ros.analysis.style import BLACK, BLUE, new_figure, Picture, RED, styled
 from dz_ros.errors import ConfigurationError
+from dz_ros.report.style import BLACK, BLUE, new_figure, Picture, RED, styled
 from dz_ros.studies.outcome import COLUMNS
 
 Array = NDArray[np.float64]

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Which runs a sweep consists of: axes over keys of a configuration, and a sampler.
 
     KEY=a:b:n         n values from a to b, both included; grid, or bounds for random and sobol
@@ -26,7 +27,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.errors import ConfigurationError
 
 SAMPLERS = ('grid', 'sobol', 'random')
-MOST = 10_000_000
+MAX_RUNS = 10_000_000
 """More runs than this are refused."""
 BLOCK = 4096
 """Points drawn at a time, a power of two, as Sobol sequences want it."""
@@ -65,7 +66,7 @@ class Axis:
                   'controller.epsilon=0.005:0.5:40:log')
         if not equals or not key or not written:
             raise ConfigurationError('--over', text, wanted)
-        if ':' not in written:
+        if ':' not in written or ',' in written:      # a value may be package.module:Class
             return cls(key, values=tuple(_value(item) for item in written.split(',')))
         parts = written.split(':')
         if len(parts) not in (3, 4) or (len(parts) == 4 and parts[3] != 'log'):
@@ -133,12 +134,12 @@ class SweepPlan:
         if self.sampler != 'grid' and self.samples < 1:
             raise ConfigurationError('--samples', self.samples,
                                      f'must be > 0 with --sampler {self.sampler}')
-        if len(self) > MOST:
+        if len(self) > MAX_RUNS:
             raise ConfigurationError('--over', keys, f'{len(self)} runs are too many; at most '
-                                     f'{MOST}')
+                                     f'{MAX_RUNS}')
         for axis in self.axes:
             self.changes({axis.key: next(axis.grid())})
-            Configuration.from_flat({**self.base, **_known(self.base, axis)})
+            Configuration.from_changed(self.base, _known(self.base, axis))
 
     def __len__(self) -> int:
         """Return the number of runs."""
@@ -189,7 +190,7 @@ class SweepPlan:
         return found
 
     def fingerprint(self) -> str:
-        """Return what tells this sweep from any other: the same for the same numbers."""
+        """Return a hash of the plan, the same for the same numbers."""
         content = json.dumps(asdict(self), sort_keys=True, default=list)
         return hashlib.sha256(content.encode()).hexdigest()[:16]
 

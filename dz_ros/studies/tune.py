@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gains proposed from bounds, rate, delay and effort, by the design rules (ours).
 
     d   = max(configured delay, 1): a loop over topics takes up to one sample
@@ -15,8 +16,12 @@
     λ   = half the limit of stability at most, and what keeps peak |v| within the effort, both
           found by simulation; at most the configured λ times 4
 
+The gains of `robust_eso` follow its own rules (`dz_ros.core.laws.robust_eso_rules`), those for an
+encoder where the velocity is not measured; its start is slowed down until it keeps the effort.
 c gives the order of the paper's gains on the paper's example. a_i are those of the plant's model:
 where they are guesses, widen θ's bounds. Nothing here is optimal; it is safe to start from.
+
+Over 300 lines: two families of laws with their reasons.
 """
 
 from __future__ import annotations
@@ -24,18 +29,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from dz_ros.core.along_reference import disturbance_along_reference
-from dz_ros.core.boundary_layer import chatter_limit, largest_gain
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.design_rules import (
-    dead_zone_bound,
-    derives_epsilon,
-    integral_divisor,
-    least_robust_gain,
-)
+from dz_ros.core.design.along_reference import disturbance_along_reference
+from dz_ros.core.design.boundary_layer import chatter_limit
+from dz_ros.core.design.linear_loop import largest_gain
+from dz_ros.core.design.observation import sensor_noise
+from dz_ros.core.design.rules import dead_zone_bound, derives_epsilon, least_robust_gain
+from dz_ros.core.design.stability import lambda_limit
 from dz_ros.core.laws.base import Design
+from dz_ros.core.laws.robust_eso_rules import (
+    gains_by_rule,
+    gains_for_encoder,
+    OBSERVER_RATE,
+    QUIET_SHARE,
+)
+from dz_ros.core.laws.robust_eso_rules import (
+    SHARE as ESO_SHARE,
+)
 from dz_ros.core.schema import fields
-from dz_ros.core.stability import lambda_limit
 from dz_ros.core.tracking import feed_forward_weights
 from dz_ros.errors import ConfigurationError
 from dz_ros.studies.outcome import Row, run_row
@@ -50,6 +61,8 @@ OWN_MARGIN = 0.8
 """A margin of the law's own may use this share of where its integral makes the loop chatter."""
 STEEP = 8.0
 """λ from which on the outer gain k_2 raises the peak of plants with velocity regressors [1/s]."""
+SLOT, NOISE = 0.3, 0.1
+"""ρ0 over k*; σ of v over k* from which on a set is the quiet one."""
 STEPS = (4.0, 2.83, 2.0, 1.41, 1.0, 0.71, 0.5, 0.35, 0.25, 0.18, 0.125)
 """Multiples of the configured λ that are tried, steepest first."""
 
@@ -82,19 +95,30 @@ def tune(c: Configuration, effort: float = 0.0, disturbance: float | None = None
         disturbance: Largest disturbance [unit of x^(n)]; None = the model's along the reference.
 
     Raises:
-        ConfigurationError: A law without k*, or no λ keeps within the effort.
+        ConfigurationError: A law without k* or of all axes, or no λ keeps within the effort.
     """
+    if c.law.coupled:
+        raise ConfigurationError('controller.law', c.law.name, 'is a law of all axes, its gains '
+                                 'are not proposed; choose robust_eso, robust, wang2004 or '
+                                 'extended')
     names = {item.name for item in fields(type(c.law.gains))}
     if 'k_star' not in names or c.law.design is None:
         raise ConfigurationError('controller.law', c.law.name, 'has no k* to tune; choose robust, '
                                  'wang2004 or extended')
     effort = effort or c.plant_settings.command_limit or _present_peak(c)
     delta = disturbance_along_reference(c) if disturbance is None else disturbance
+    if {'layer_gain', 'observer_rate', 'start_rate'} <= names:
+        return _proposal(c, *_with_observer(c, c.law.design, delta, effort))
     values = _from_rules(c, c.law.design, delta)
     reasons = {key: why for key, (_, why) in values.items() if key.partition('.')[2] in names}
     changes = {key: values[key][0] for key in reasons}
     tuned, why = _with_lambda(c, changes, effort)
     reasons['controller.lambda'] = why
+    return _proposal(c, tuned, reasons)
+
+
+def _proposal(c: Configuration, tuned: Configuration, reasons: dict[str, str]) -> Proposal:
+    """Return the proposal with what both give in simulation."""
     rows = {}
     for extra in (0, 1):
         delay = {'loop.delay': c.loop.delay + extra}
@@ -113,7 +137,7 @@ def _from_rules(c: Configuration, design: Design, delta: float) -> dict[str, tup
     k_star = least_robust_gain(bound, known.m_bounds[0], known.b_bounds[0], delta, share)
     delay = max(c.loop.delay, 1)
     derived = derives_epsilon(gains)
-    chatters = largest_gain(0.0, integral_divisor(design), high, c.loop.period, delay)
+    chatters = largest_gain(c.law.layer_model, c.loop.period, high, delay)
     limit = chatter_limit(delay) / (high * c.loop.period)
     margin = min(gains.margin, OWN_MARGIN * chatters / limit) if derived else MARGIN
     steepest = margin * limit
@@ -143,6 +167,70 @@ def _from_rules(c: Configuration, design: Design, delta: float) -> dict[str, tup
                   "the actuator's limit, 0 = none"),
         'epsilon': (0.0, f'{MARGIN:g} of the slope at which the loop chatters at delay {delay}'),
     }.items() if key not in (('epsilon',) if derived else ('margin', 'beta', 'design_delay'))}
+
+
+def _with_observer(c: Configuration, design: Design, delta: float,
+                   effort: float) -> tuple[Configuration, dict[str, str]]:
+    """Return the configuration with the gains of `robust_eso` by its rules, and why.
+
+    Raises:
+        ConfigurationError: No start is slow enough for the effort.
+    """
+    known, driver = c.controller_settings, c.make_driver()
+    bound, m_min, b_min = dead_zone_bound(c, design), known.m_bounds[0], known.b_bounds[0]
+    k_star = least_robust_gain(bound, m_min, b_min, delta) / (1.0 - SLOT)
+    low, high = (b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
+    middle, period = 0.5 * (1.0 / low + 1.0 / high), c.loop.period
+    delay = min(max(c.loop.delay, 1), 2)
+    theta = [a * middle for a in c.plant.a]
+    common = (period, known.b_bounds, known.m_bounds, k_star, c.law.gains.k_d, theta, middle,
+              delay)
+    gains = gains_by_rule(*common)
+    noise = gains['layer_gain'] * c.noise[-1]
+    quiet = noise > NOISE * k_star
+    if quiet:
+        gains = gains_by_rule(*common, quiet=True)
+    gains |= {'k_star': k_star, 'theta_0': theta, 'phi_0': middle}
+    limit = c.plant_settings.command_limit
+    if limit > 0.0:
+        gains |= {'v_max': limit}
+    by_rule = 'by rule from K0, k* and the bounds'
+    reasons = dict.fromkeys(gains, by_rule) | {
+        'k_star': f'rho/m_min, {delta:.4g} of disturbance and rho_0 = {SLOT:g} k*',
+        'layer_gain': f'{QUIET_SHARE if quiet else ESO_SHARE:g} of the chatter limit at delay '
+                      f'{delay}' + (f', quiet: noise would put {noise:.3g} into v' if quiet
+                                    else ''),
+        'design_delay': 'the loop takes up to this many samples',
+        'lambda': 'K0 b_hat/7' if quiet else 'K0 b_hat/6', 'start_rate': 'lambda/5',
+        'observer_rate': '0.83 K0 b_hat', 'k_2': '2 K0/3',
+        'phi_0': 'middle of 1/(b m)', 'theta_0': 'a_i of the model times the middle',
+        'v_max': "the actuator's limit"}
+    if driver.measured < c.plant.order:
+        sigma = sensor_noise(c, driver.resolution)
+        gains |= gains_for_encoder(period, sigma, high, gains['input_gain'], k_star, delay)
+        gains['k_d'] = min(gains['k_d'], gains['layer_gain'] / 6.0)
+        for key in ('layer_gain', 'lambda', 'start_rate', 'observer_rate', 'k_2'):
+            reasons[key] = f'the velocity is observed, from noise of {sigma:.3g}'
+    changes = {f'controller.{key}': item for key, item in gains.items()}
+    if driver.measured < c.plant.order:
+        changes['driver.observer'] = 0.0
+        rate = OBSERVER_RATE * gains['layer_gain'] * gains['input_gain']
+        reasons['driver.observer'] = f'0 = by rule, {rate:.4g} rad/s'
+    changed = {key if '.' in key else f'controller.{key}': why for key, why in reasons.items()
+               if f'controller.{key}' in changes or key in changes}
+    smallest = float('inf')
+    for slower in (1.0, 0.7, 0.5, 0.35, 0.25, 0.15):
+        tried = c.replace(**{**changes, 'controller.start_rate': slower * gains['start_rate']})
+        row = run_row(tried)
+        if row['lost'] or row['v_peak_run'] is None:
+            continue
+        smallest = min(smallest, row['v_peak_run'])
+        if not effort or row['v_peak_run'] <= effort:
+            changed['controller.start_rate'] += f', peak |v| {row["v_peak_run"]:.4g}'
+            return tried, changed
+    raise ConfigurationError('--effort', effort, 'no start keeps within it; the least peak |v| '
+                             f'found is {smallest:.4g}: start nearer to the reference or allow '
+                             'more')
 
 
 def feels_velocity(c: Configuration) -> bool:
@@ -185,7 +273,7 @@ def _with_lambda(c: Configuration, changes: dict[str, Any],
         if slope > limit:
             continue
         try:
-            tried = _at(c, changes, slope)
+            tried = proposal_at(c, changes, slope)
         except ConfigurationError:
             continue        # no layer is wide enough for such a slope
         row = run_row(tried)
@@ -193,9 +281,9 @@ def _with_lambda(c: Configuration, changes: dict[str, Any],
             continue
         smallest = min(smallest, row['v_peak_run'])
         if not effort or row['v_peak_run'] <= effort:
-            told = f', peak |v| {row["v_peak_run"]:.4g}'
-            told += f' within {effort:.4g}' if effort else ''
-            return tried, f'at most half of where the loop is lost, {2.0 * limit:.4g}{told}'
+            peak = f', peak |v| {row["v_peak_run"]:.4g}'
+            peak += f' within {effort:.4g}' if effort else ''
+            return tried, f'at most half of where the loop is lost, {2.0 * limit:.4g}{peak}'
     raise ConfigurationError('--effort', effort, 'no slope keeps within it; the least peak |v| '
                              f'found is {smallest:.4g}: start nearer to the reference or allow '
                              'more')
@@ -209,13 +297,13 @@ def _first(c: Configuration, changes: dict[str, Any], given: float) -> Configura
     """
     for step in STEPS[STEPS.index(1.0):-1]:
         try:
-            return _at(c, changes, step * given)
+            return proposal_at(c, changes, step * given)
         except ConfigurationError:
             continue
-    return _at(c, changes, STEPS[-1] * given)
+    return proposal_at(c, changes, STEPS[-1] * given)
 
 
-def _at(c: Configuration, changes: dict[str, Any], slope: float) -> Configuration:
+def proposal_at(c: Configuration, changes: dict[str, Any], slope: float) -> Configuration:
     """Return the configuration with this λ and, where the law has them, the ε and k_2 it allows.
 
     Raises:
@@ -226,8 +314,9 @@ def _at(c: Configuration, changes: dict[str, Any], slope: float) -> Configuratio
         known = c.controller_settings
         beta = known.b_bounds[1] * known.m_bounds[1]
         lead = feed_forward_weights(slope, c.plant.order)[-1] * values['controller.phi_0']
-        divisor = 0.0 if c.law.design is None else integral_divisor(c.law.design)
-        steepest = MARGIN * (lead + largest_gain(lead, divisor, beta, c.loop.period,
+        tried = c.replace(**{key: item for key, item in values.items()
+                             if key != 'controller.epsilon'})
+        steepest = MARGIN * (lead + largest_gain(tried.law.layer_model, c.loop.period, beta,
                                                  max(c.loop.delay, 1)))
         room = steepest - values['controller.k_d'] - lead
         if room <= 0.0:

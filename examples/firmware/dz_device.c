@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 /* See dz_device.h. */
 #include "dz_device.h"
 

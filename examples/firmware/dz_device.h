@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 /* The device's side of dz_ros' serial protocol, version 1, for a microcontroller.
  *
  * Portable C99: fixed-width integers, 8-bit bytes, no allocation, no clock, no global; any byte

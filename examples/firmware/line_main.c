@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 /* The firmware on a PC: the line is standard input and output, the hardware a simulated servo.
  *
  *     cc -std=c99 -O2 -Wall -Wextra -Werror -o firmware dz_device.c line_main.c -lm

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`dz bag`: what a recording holds, and a complete one out of one that was cut off."""
 
 import hashlib
@@ -7,7 +8,7 @@ import re
 import numpy as np
 import pytest
 
-from dz_ros.cli.bag_recover import beside
+from dz_ros.cli.bag.recover import beside
 from dz_ros.cli.main import main
 from dz_ros.recording.reader import read_run
 
@@ -46,13 +47,14 @@ def test_info_counts_every_message(recorded, capsys):
     assert main(['bag', 'info', str(recorded)]) == 0
     text = capsys.readouterr().out
     found = table(text)
-    assert set(found) == {'/reference', '/state', '/command', '/terms', '/truth'}
+    assert set(found) == {'/reference', '/state', '/command', '/terms', '/truth', '/events'}
+    assert found.pop('/events')[0] == 1     # the configuration
     for messages, size, *faults in found.values():
         assert messages == 801
         assert size > 801 * 40
         assert faults == [0, 0, 0, 0]
     assert 'complete' in text
-    assert re.search(r'4\.000 s, 4005 messages', text)
+    assert re.search(r'4\.000 s, 4006 messages', text)
     for known in ('plant: wang2004', 'law: wang2004', 'mode: offline'):
         assert known in text
 

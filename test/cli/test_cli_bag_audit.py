@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`dz bag audit` on our runs, on bags of other tools, and on live loops."""
 
 from importlib.util import find_spec
@@ -97,7 +98,7 @@ def test_bags_of_other_tools(recorded, tmp_path, capsys, storage):
     assert 'stated by /controller_node' in capsys.readouterr().out
     bare = foreign(data, tmp_path / 'bare', storage, events=False)
     assert main(['bag', 'audit', str(bare)]) == 1
-    assert 'does not say which law and gains were used' in capsys.readouterr().out
+    assert 'does not state which law and gains were used' in capsys.readouterr().out
     assert main(['bag', 'audit', str(bare), '--config', 'wang2004']) == 0
     assert main(['bag', 'audit', str(bare), '--config', 'wang2004', '--set',
                  'controller.k_d=11']) == 1

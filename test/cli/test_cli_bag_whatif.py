@@ -1,10 +1,12 @@
+# SPDX-License-Identifier: Apache-2.0
 """`dz bag whatif` and `dz bag compare`: what they write and what they say."""
 
 import numpy as np
 import pytest
 
-from dz_ros.cli.bag_compare import columns, names
+from dz_ros.cli.bag.compare import names
 from dz_ros.cli.main import main
+from dz_ros.cli.output import aligned
 from dz_ros.core.dataset import RunData
 from dz_ros.recording.reader import read_run
 from dz_ros.recording.save import save_run
@@ -106,6 +108,6 @@ def test_runs_get_names_that_tell_them_apart(tmp_path):
 
 
 def test_columns_line_up_whatever_marks_a_letter_carries():
-    lines = columns([['', 'a'], ['max |x̃|', '1'], ['RMS vv', '22']])
+    lines = aligned([['', 'a'], ['max |x̃|', '1'], ['RMS vv', '22']])
     assert [len(line.replace('\N{COMBINING TILDE}', '')) for line in lines] == [11, 11, 11]
     assert np.unique([line[-1] for line in lines]).tolist() == ['1', '2', 'a']

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`dz check`: findings in words and as JSON, and the exit code that scripts look at."""
 
 import json
@@ -6,8 +7,8 @@ import pytest
 
 from dz_ros.cli.check import format_findings
 from dz_ros.cli.main import main
-from dz_ros.core.finding import ERROR, Finding, INFO, WARNING
-from dz_ros.files import shipped_configurations
+from dz_ros.core.design.finding import ERROR, Finding, INFO, WARNING
+from dz_ros.files.configurations import shipped_configurations
 
 
 def checked(capsys, *words):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """``dz doctor`` on this machine, and on ones that permit nothing or fail."""
 
 import json
@@ -20,13 +21,18 @@ def test_the_doctor_measures_what_is_permitted(capsys):
         assert (name in found['busy']) is not bool(measured['refused'])
 
 
+def test_a_summary_is_of_the_ticks():
+    assert doctor.summary([0.0, 1e-4, 2e-4, 3e-3]) == {
+        'p50': 2e-4, 'p99': 3e-3, 'max': 3e-3, 'late': 1, 'ticks': 4}
+
+
 def measured(p99, refused=()):
     return {'refused': list(refused), 'p50': 1e-5, 'p99': p99, 'max': p99, 'late': 0, 'ticks': 20}
 
 
 def told(monkeypatch, capsys, answers):
     """Return what the doctor says where measurements give these answers, one for each set-up."""
-    monkeypatch.setattr(doctor, '_measure', lambda words, _: answers[bool(words)])
+    monkeypatch.setattr(doctor, 'measure', lambda words, _: answers[bool(words)])
     assert main(['doctor', '--seconds', '0.1']) == 0
     return capsys.readouterr().out
 
@@ -47,7 +53,7 @@ def test_what_helps_is_named_with_what_it_helps(monkeypatch, capsys):
 
 def test_what_does_not_help_is_not_recommended(monkeypatch, capsys):
     assert 'leave them off' in told(monkeypatch, capsys, {False: measured(1e-4),
-                                                         True: measured(9e-5)})
+                                                          True: measured(9e-5)})
 
 
 @pytest.mark.parametrize('seconds', ['0', '-1', '1e9', 'nan'])

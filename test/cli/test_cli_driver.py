@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """dz driver list: what is installed, and what keeps one from loading or opening."""
 
 from dataclasses import dataclass
@@ -7,12 +8,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from dz_ros.cli.driver_check import line
-from dz_ros.cli.driver_list import describe
+from dz_ros.cli.driver.check import line
+from dz_ros.cli.driver.list import describe
 from dz_ros.cli.main import main
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.driver import DRIVERS
-from dz_ros.drivers.conformance import Result
+from dz_ros.core.driven import DRIVERS
+from dz_ros.drivers.conformance.result import Result
 from dz_ros.drivers.simulated import SimulatedActuator
 from dz_ros.errors import UnknownNameError
 from dz_ros.nodes.joint_driver import Joint
@@ -43,7 +44,7 @@ def test_one_that_cannot_load_says_why():
 def only(monkeypatch, **classes):
     """Have these drivers installed and no others."""
     monkeypatch.setitem(sys.modules, 'some_drivers', SimpleNamespace(**classes))
-    monkeypatch.setattr('dz_ros.cli.driver_list.DRIVERS', type(DRIVERS)(
+    monkeypatch.setattr('dz_ros.cli.driver.list.DRIVERS', type(DRIVERS)(
         DRIVERS.kind, DRIVERS.key, 'none', DRIVERS.base,
         {name: f'some_drivers:{name}' for name in classes}))
 
@@ -80,7 +81,7 @@ def test_one_that_cannot_be_read_ends_no_list(monkeypatch, capsys):
 
 
 def test_the_bridge_to_ros2_control_names_what_it_needs(monkeypatch, capsys):
-    monkeypatch.setattr('dz_ros.cli.driver_list._there', lambda module: 'msgs' not in module)
+    monkeypatch.setattr('dz_ros.cli.driver.list.is_there', lambda module: 'msgs' not in module)
     assert main(['driver', 'list']) == 0
     text = capsys.readouterr().out
     assert 'cannot be opened here: sensor_msgs, std_msgs is not installed' in text

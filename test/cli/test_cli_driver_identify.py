@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`dz driver identify`: asks, moves, stops, tells, writes; and reads runs."""
 
 import json
@@ -11,7 +12,7 @@ import pytest
 from dz_ros.cli.main import main
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop.offline import simulate
 from dz_ros.recording.save import save_run
 
 LIMITS = ('--travel', '1.5', '--speed', '1', '--effort', '4')
@@ -56,6 +57,7 @@ def device(tmp_path, monkeypatch):
     del sys.modules['a_device']
 
 
+@pytest.mark.slow
 def test_from_device_to_ready_configuration_and_again_from_its_run(tmp_path, capsys):
     out = tmp_path / 'found'
     words = ('servo', *QUIET, '--set', 'loop.duration=5', '--repeats', '4')
@@ -84,6 +86,7 @@ def test_from_device_to_ready_configuration_and_again_from_its_run(tmp_path, cap
     assert 'exists already' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_run_of_the_loop_tells_as_well(tmp_path, capsys):
     c = Configuration.from_flat({
         'plant.model': 'servo', 'controller.law': 'wang2004', 'loop.duration': 30.0,
@@ -136,7 +139,7 @@ def test_only_yes_is_yes(tmp_path, monkeypatch, capsys, device, answer):
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_gives_the_safe_command_within_a_sample(tmp_path, monkeypatch, capsys, device,
                                                          number):
-    monkeypatch.setattr('dz_ros.cli.identify_moves.find_spec', lambda _: None)     # no ROS
+    monkeypatch.setattr('dz_ros.cli.driver.stop_requests.find_spec', lambda _: None)     # no ROS
     monkeypatch.setenv('SIGNAL', str(int(number)))
     earlier = signal.getsignal(number)
     out = tmp_path / 'found'
@@ -151,7 +154,9 @@ def test_a_signal_gives_the_safe_command_within_a_sample(tmp_path, monkeypatch, 
 
 
 @pytest.mark.ros
-def test_the_e_stop_topic_stops_it(tmp_path, capsys, device, ros_domain):
+@pytest.mark.parametrize('words', [
+    ('identify', 'servo', *QUIET, *LIMITS, '--out', 'found'), ('check', 'a_device:Device')])
+def test_the_e_stop_topic_stops_it(tmp_path, monkeypatch, capsys, device, ros_domain, words):
     pytest.importorskip('rclpy')
     from dz_ros.cli.operator import operator
 
@@ -164,10 +169,11 @@ def test_the_e_stop_topic_stops_it(tmp_path, capsys, device, ros_domain):
     device_moves = threading.Event()
     presser = threading.Thread(target=press)
     presser.start()
-    code = main(['driver', 'identify', 'servo', *QUIET, *LIMITS, '--yes', '--out',
-                 str(tmp_path / 'found'), '--set', 'driver.name=a_device:Device'])
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr('dz_ros.drivers.conformance.driver_checks.RUN_DURATION', 120.0)
+    code = main(['driver', *words, '--yes', '--set', 'driver.name=a_device:Device'])
     presser.join()
     assert code == 2
     assert 'dz: error: e-stop pressed\n' in capsys.readouterr().err
-    assert device.told[-3:] == [('safe', 0.0), ('safe', 0.0), 'disabled']
+    assert device.told[-2:] == [('safe', 0.0), 'disabled']
     assert os.environ['ROS_DOMAIN_ID'] == str(ros_domain)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`dz list`: one line for each thing a configuration can choose."""
 
 import importlib.metadata
@@ -9,7 +10,7 @@ from dz_ros.core import registry
 from dz_ros.core.laws import LAWS
 from dz_ros.core.plants import PLANTS
 from dz_ros.core.trajectories import TRAJECTORIES
-from dz_ros.files import shipped_configurations
+from dz_ros.files.configurations import shipped_configurations
 
 
 @pytest.mark.parametrize(('kind', 'things'), [('plants', PLANTS), ('laws', LAWS),

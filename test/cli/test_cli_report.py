@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`dz report`: page, five numbers, JSON; the recording itself stays as it is."""
 
 import json
@@ -10,7 +11,7 @@ from dz_ros.cli.main import main
 from dz_ros.cli.table import five_rows, format_table, metric_rows
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop.offline import simulate
 
 
 @pytest.fixture(scope='module')
@@ -42,7 +43,7 @@ def test_report_lies_beside_the_run_and_shows_five_numbers(recorded, capsys):
     assert float(found['max |x̃|']) == pytest.approx(np.abs(error).max(), rel=1e-3)
     assert float(found['total variation of v']) == pytest.approx(
         np.abs(np.diff(run.v[inside])).sum() / 3.0, rel=1e-3)
-    assert found['samples lost, all topics'] == '0'
+    assert found['messages missing, all topics'] == '0'
     assert found['periods within 1 ms of 5 ms'] == '-'    # off line there is no timing
 
 
@@ -62,6 +63,7 @@ def test_json_is_for_programs_and_writes_nothing(recorded, tmp_path, capsys):
     assert (target / 'report.html').is_file()
 
 
+@pytest.mark.slow
 def test_a_second_run_replaces_the_simulated_one(recorded, tmp_path, capsys):
     other = tmp_path / 'other'
     assert main(['simulate', 'wang2004', '--duration', '3', '--set',
@@ -114,11 +116,11 @@ def test_a_run_that_was_cut_off_is_reported_and_said(recorded, tmp_path, capsys)
 
 
 def test_tables_align_and_carry_units():
-    from dz_ros.analysis.view import View
+    from dz_ros.report.view import View
     run = simulate(Configuration.from_flat({'plant.model': 'servo', 'loop.duration': 2.0}))
     view = View.of(from_run(run))
     text = format_table('title', metric_rows(view))
-    lines = text.replace('\N{COMBINING TILDE}', '').splitlines()[1:]
+    lines = [line.replace('\N{COMBINING TILDE}', '') for line in text[1:]]
     ends = {re.match(r'  .+?  +[-\d.e+]+(?=  |$)', line).end() for line in lines}
     assert len(ends) == 1
     assert any(line.endswith('rad') for line in lines)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """`dz simulate`: what it writes is the loop, to the last digit; what it refuses leaves nothing."""
 
 import csv
@@ -9,12 +10,13 @@ import pytest
 
 from dz_ros.cli.main import main
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.loop import simulate
-from dz_ros.files import load_configuration
+from dz_ros.core.loop.offline import simulate
+from dz_ros.files.configurations import load_configuration
 from dz_ros.recording.reader import read_run
 
 REFERENCE = Path(__file__).parents[1] / 'data' / 'wang2004_lambda1_rk4.csv'
 SHORT = ('--duration', '0.5')
+TERMS = 's,s_eps,u_fd,v_damping,v_feed_forward,v_regressor,v_robust,v_extra'
 
 
 def read(path):
@@ -27,10 +29,10 @@ def test_csv_is_the_reference_run(tmp_path, capsys):
     out = tmp_path / 'run.csv'
     assert main(['simulate', 'wang2004', '--set', 'plant.substeps=1', '--csv', str(out)]) == 0
     header, rows = read(out)
-    assert ','.join(header) == 'k,t,x0,x1,xd0,xd1,xd2,v,w,theta1,theta2,phi,s,s_eps'
+    assert ','.join(header) == f'k,t,x0,x1,xd0,xd1,xd2,v,w,theta1,theta2,phi,{TERMS}'
     found = np.array(rows, dtype=float)
     known = np.loadtxt(REFERENCE, delimiter=',', skiprows=2)
-    assert found.shape == (4001, 14)
+    assert found.shape == (4001, 20)
     column = {name: found[:, i] for i, name in enumerate(header)}
     for place, (name, tolerance) in enumerate([
             ('k', 0.0), ('t', 1e-12), ('x0', 1e-10), ('x1', 1e-10), ('v', 1e-8),
@@ -59,16 +61,16 @@ def test_csv_loses_no_digit(tmp_path):
 
 
 @pytest.mark.parametrize(('config', 'law', 'expected'), [
-    ('wang2004', 'pd', 'k,t,x0,x1,xd0,xd1,xd2,v,w,s,s_eps'),
+    ('wang2004', 'pd', 'k,t,x0,x1,xd0,xd1,xd2,v,w'),
     ('valve_actuator', 'wang2004',
-     'k,t,x0,x1,x2,xd0,xd1,xd2,xd3,v,w,theta1,theta2,theta3,phi,s,s_eps'),
-    ('first_order', 'wang2004', 'k,t,x0,xd0,xd1,v,w,theta1,theta2,phi,s,s_eps'),
+     'k,t,x0,x1,x2,xd0,xd1,xd2,xd3,v,w,theta1,theta2,theta3,phi'),
+    ('first_order', 'wang2004', 'k,t,x0,xd0,xd1,v,w,theta1,theta2,phi'),
 ])
 def test_columns_follow_order_and_law(config, law, expected, tmp_path):
     out = tmp_path / 'run.csv'
     assert main(['simulate', config, '--duration', '0.05', '--set', f'controller.law={law}',
                  '--csv', str(out)]) == 0
-    assert ','.join(read(out)[0]) == expected
+    assert ','.join(read(out)[0]) == f'{expected},{TERMS}'
 
 
 def test_csv_has_the_true_state_though_the_law_sees_noise(tmp_path):
@@ -87,7 +89,7 @@ def test_csv_on_standard_output_stands_alone_there(capsys):
     assert main(['simulate', 'wang2004', *SHORT, '--csv', '-']) == 0
     out, err = capsys.readouterr()
     assert len(out.splitlines()) == 102
-    assert all(line.count(',') == 13 for line in out.splitlines())
+    assert all(line.count(',') == 19 for line in out.splitlines())
     assert 'max |x̃|' in err
 
 
@@ -102,6 +104,21 @@ def test_recording_is_the_run(tmp_path):
     assert data.configuration == run.configuration.to_flat()
     assert data.info['mode'] == 'offline'
     assert (out / 'metadata.yaml').is_file()
+
+
+@pytest.mark.parametrize('law', ['robust', 'pid'])
+def test_a_converted_recording_is_audited_without_its_configuration(tmp_path, capsys, law):
+    """Other tools keep the topics and drop the metadata."""
+    convert = pytest.importorskip('rosbags.convert.converter').convert
+    out = tmp_path / 'run'
+    assert main(['simulate', 'servo', '--set', f'controller.law={law}', *SHORT, '--record',
+                 str(out)]) == 0
+    convert([out], tmp_path / 'converted', dst_storage='sqlite3', dst_version=9,
+            compress=None, compress_mode='none', default_typestore=None, typestore=None,
+            exclude_topics=(), include_topics=(), exclude_msgtypes=(), include_msgtypes=())
+    capsys.readouterr()
+    assert main(['bag', 'audit', str(tmp_path / 'converted')]) == 0, capsys.readouterr().out
+    assert 'stated by /simulation' in capsys.readouterr().out
 
 
 def test_metrics_are_those_of_the_paper_s_example(capsys):

@@ -1,22 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where chatter begins: the formulas against polynomials, and against the simulated loop."""
 
-import math
 
 import numpy as np
 import pytest
 
-from dz_ros.core.boundary_layer import (
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.design.boundary_layer import (
     automatic_epsilon,
     chatter_limit,
-    critical_epsilon,
-    largest_beta,
-    largest_gain,
     layer_gain,
     loop_gain,
 )
-from dz_ros.core.configuration import Configuration
-from dz_ros.core.laws.robust_gains import layer, RobustGains
-from dz_ros.core.loop import simulate
+from dz_ros.core.design.linear_loop import largest_beta
+from dz_ros.core.laws.robust import Robust
+from dz_ros.core.loop.offline import simulate
 
 K_STAR, K_D = 2.5, 10.0
 
@@ -35,61 +33,10 @@ def test_limit_is_where_the_roots_leave_the_unit_circle(delay, printed):
         assert bool(radius(*polynomial) < 1.0) is stable
 
 
-@pytest.mark.parametrize(('delay', 'epsilon'), [(0, 0.0064), (1, 0.0132), (2, 0.0222)])
-def test_smallest_epsilon_of_the_example(delay, epsilon):
-    found = critical_epsilon(K_STAR, K_D, 0.85, 1.0, 0.005, delay)
-    assert found == pytest.approx(epsilon, abs=5e-5)
-    assert loop_gain(layer_gain(K_D, K_STAR, found) + 0.85, 1.0, 0.005) == pytest.approx(
-        chatter_limit(delay))
-
-
-def test_no_epsilon_is_large_enough_at_a_rate_too_low():
-    assert critical_epsilon(K_STAR, K_D, 1.0, 1.0, 0.1, 1) == math.inf
-
-
 def test_automatic_epsilon_keeps_its_share():
     epsilon = automatic_epsilon(K_STAR, K_D, 0.85, 1.25, 0.005, 1, 0.5)
     gain = loop_gain(layer_gain(K_D, K_STAR, epsilon) + 0.85, 1.25, 0.005)
     assert gain == pytest.approx(0.5 * chatter_limit(1))
-
-
-@pytest.mark.parametrize(('delay', 'printed'), [(0, 6.2), (1, 2.7), (2, 1.35)])
-def test_integral_moves_the_limit(delay, printed):
-    """The recommended law's gain: stable up to this b m."""
-    gain, _ = layer(RobustGains(), 0.005)
-    rate = gain ** 2 / 2.0
-    found = largest_beta(gain, rate, 0.005, delay)
-    assert found == pytest.approx(printed, rel=0.01)
-    for share, stable in ((0.999, True), (1.001, False)):
-        beta = share * found * 0.005
-        polynomial = np.polyadd(np.polymul([1.0, -2.0, 1.0], [1.0] + [0.0] * delay),
-                                [beta * gain, beta * (0.005 * rate - gain)])
-        assert bool(radius(*polynomial) < 1.0) is stable
-
-
-def test_integral_too_fast_for_the_delay_is_stable_nowhere():
-    assert largest_beta(15.0, 15.0 ** 2 / 2.0, 0.1, 2) == 0.0
-    assert largest_beta(15.0, 0.0, 0.1, 2) == pytest.approx(chatter_limit(2) / 1.5)
-
-
-@pytest.mark.parametrize('delay', [0, 1, 2, 3])
-@pytest.mark.parametrize(('divisor', 'lead', 'beta'), [
-    (0.0, 0.85, 1.25), (2.0, 0.85, 1.25), (2.0, 0.0, 0.4), (16.0, 3.0, 2.5)])
-def test_largest_gain_is_where_the_roots_leave_the_circle(delay, divisor, lead, beta):
-    """r_I follows K: below the gain the loop is calm, above it is not."""
-    found = largest_gain(lead, divisor, beta, 0.005, delay)
-    for share, calm in ((0.999, True), (1.001, False)):
-        gain = share * found
-        rate = gain ** 2 / divisor if divisor else 0.0
-        step = beta * 0.005
-        polynomial = np.polyadd(np.polymul([1.0, -2.0, 1.0], [1.0] + [0.0] * delay),
-                                [step * (gain + lead), step * (0.005 * rate - gain - lead)])
-        roots = np.roots(polynomial)
-        if not divisor:     # s alone: the integral's root stays at 1
-            roots = np.delete(roots, np.argmin(abs(roots - 1.0)))
-        assert bool(abs(roots).max() < 1.0) is calm
-    assert critical_epsilon(2.5, 10.0, lead, beta, 0.005, delay, divisor) == pytest.approx(
-        2.5 / (found - 10.0))
 
 
 def variation(values):
@@ -129,8 +76,7 @@ def test_chatter_of_the_adapting_example(delay, share, calm):
 @pytest.mark.parametrize(('share', 'calm'), [(0.95, True), (1.05, False)])
 def test_chatter_of_the_recommended_law(delay, share, calm):
     """With its integral, before the guard has stepped."""
-    gain, _ = layer(RobustGains(), 0.005)
-    b = share * largest_beta(gain, gain ** 2 / 2.0, 0.005, delay)
+    b = share * largest_beta(Robust().layer_model(), 0.005, delay)
     found = variation({
         'controller.law': 'robust', 'loop.delay': delay, 'plant.b': b, 'loop.duration': 2.0,
         'plant.x0': [0.0, 2.5], 'controller.phi_0': max(0.3, 1.0 / b),

@@ -1,47 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
 """The compiled loop gives the bits of the plain one, for every law, plant and trajectory."""
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
 import pytest
 
-from dz_ros.core import compiled as module
-from dz_ros.core.compiled import simulate_fast
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws import LAWS
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop import compiled as module
+from dz_ros.core.loop.compiled import simulate_fast
+from dz_ros.core.loop.offline import simulate
 from dz_ros.core.plants import PLANTS
 from dz_ros.core.plants.wang2004 import Wang2004
 from dz_ros.core.trajectories import TRAJECTORIES
 from dz_ros.errors import ConfigurationError, MissingDependencyError
 
-CASES = [*({'controller.law': name} for name in LAWS.builtin),
-         *({'plant.model': name} for name in PLANTS.builtin),
-         *({'trajectory.kind': name} for name in TRAJECTORIES.builtin if name != 'waypoints'),
-         {'trajectory.kind': 'waypoints', 'trajectory.times': [0.0, 1.0, 2.0],
-          'trajectory.positions': [0.0, 1.0, 0.5]},
+WAYPOINTS = {'trajectory.kind': 'waypoints', 'trajectory.times': [0.0, 1.0, 2.0],
+             'trajectory.positions': [0.0, 1.0, 0.5]}
+MOTIONS = [{'trajectory.kind': name} for name in TRAJECTORIES.builtin if name != 'waypoints']
+"""Compiling takes a second: the laws have one of these each, in turn."""
+LAWS_AND_MOTIONS = [{'controller.law': law, **motion} for law, motion in zip(
+    LAWS.builtin, itertools.cycle([*MOTIONS, WAYPOINTS]), strict=False)]
+assert len(LAWS_AND_MOTIONS) > len(MOTIONS)     # every motion has had its turn
+CASES = [{'plant.disturbance_pulse': [0.3, 20.0, 0.05]},
          {'loop.delay': 2, 'plant.noise': [0.001, 0.01], 'plant.command_limit': 8.0,
           'plant.dead_zone.b_r_drift': [0.2, 0.9]},
-         {'plant.kick': [0.3, 20.0, 0.05]}]
+         *({'plant.model': name} for name in PLANTS.builtin), *LAWS_AND_MOTIONS]
 
 
-@pytest.mark.parametrize('overrides', CASES, ids=lambda case: ' '.join(map(str, case.values())))
-def test_compiled_equals_plain_bit_for_bit(overrides):
+@pytest.mark.parametrize('overrides', [*CASES[:2], *(
+    pytest.param(case, marks=pytest.mark.slow) for case in CASES[2:])],
+    ids=lambda case: ' '.join(map(str, case.values())))
+def test_compiled_equals_plain_bit_for_bit_and_counts_no_references(overrides, monkeypatch):
     pytest.importorskip('numba', reason='numba is not installed: nothing is compiled')
     try:
         configuration = Configuration.from_flat({'loop.duration': 1.0, **overrides})
     except ConfigurationError as error:
         pytest.skip(f'not a combination of defaults: {error}')
-    plain, fast = simulate(configuration), simulate_fast(configuration)
-    for name in ('t', 'x', 'x_measured', 'x_d', 'v', 'v_applied', 'truth', 'terms'):
-        assert np.array_equal(getattr(plain, name), getattr(fast, name), equal_nan=True), name
-
-
-@pytest.mark.parametrize('overrides', CASES[:len(LAWS.builtin)], ids=lambda case: case[
-    'controller.law'])
-def test_no_law_of_ours_needs_counted_references(overrides, monkeypatch):
-    pytest.importorskip('numba', reason='numba is not installed: nothing is compiled')
     counted = []
     plain = module.compiled
 
@@ -50,9 +48,10 @@ def test_no_law_of_ours_needs_counted_references(overrides, monkeypatch):
             counted.append(function)
         return plain(function, allocates)
 
-    monkeypatch.setattr(module, '_loops', {})
     monkeypatch.setattr(module, 'compiled', watched)
-    simulate_fast(Configuration.from_flat({'loop.duration': 0.1, **overrides}))
+    slow, fast = simulate(configuration), simulate_fast(configuration)
+    for name in ('t', 'x', 'x_measured', 'x_d', 'v', 'v_applied', 'truth', 'terms'):
+        assert np.array_equal(getattr(slow, name), getattr(fast, name), equal_nan=True), name
     assert not counted
 
 
@@ -67,6 +66,7 @@ class Allocating(Wang2004):
         y[1] = (found[0] * found[0] + 2.0 * found[0]) * found[1]
 
 
+@pytest.mark.slow
 def test_a_plant_that_allocates_is_compiled_all_the_same():
     pytest.importorskip('numba', reason='numba is not installed: nothing is compiled')
     paper = Configuration.from_flat({'loop.duration': 1.0})

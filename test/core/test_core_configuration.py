@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """One schema for every value: types, ranges, names, sections that fit, errors in words."""
 
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from dz_ros.core import schema
-from dz_ros.core.configuration import Configuration
+from dz_ros.core.configuration import Configuration, MOST_ITEMS
 from dz_ros.core.laws import LAWS
 from dz_ros.core.plants import PLANTS
 from dz_ros.core.schema import parameter
@@ -165,8 +166,8 @@ def test_keys_of_another_class_are_set_aside_so_that_a_law_is_changed_by_one_wor
 
 @pytest.mark.parametrize(('flat', 'key', 'says'), [
     ({'controller.lamda': 1.0}, 'controller.lamda', 'did you mean controller.lambda?'),
-    ({'lambda': 1.0}, 'lambda', 'known: '),
-    ({'motor.speed': 1.0}, 'motor.speed', 'known: '),
+    ({'lambda': 1.0}, 'lambda', 'did you mean controller.lambda?'),
+    ({'motor.speed': 1.0}, 'motor.speed', 'see dz list keys'),
     ({'loop': {'rate': 200.0}}, 'loop', 'unknown key'),
     ({'loop.rat': 200.0}, 'loop.rat', 'did you mean loop.rate?'),
     ({'plant.dead_zone.m': 1.0}, 'plant.dead_zone.m', 'unknown key'),
@@ -272,3 +273,53 @@ def test_cores_are_read_as_taskset_reads_them(text, cores):
 def test_cores_that_are_none_are_refused(text):
     with pytest.raises(ConfigurationError, match=r'process\.cores'):
         Configuration.from_flat({'process.cores': text})
+
+
+WAYPOINTS = {'trajectory.kind': 'waypoints', 'trajectory.times': [0.5 * k for k in range(400)],
+             'trajectory.positions': [float(k % 7) for k in range(400)]}
+
+
+def test_a_change_elsewhere_keeps_a_trajectory_through_many_points():
+    c = Configuration.from_flat(WAYPOINTS)
+    for key, value in (('controller.lambda', 1.5), ('plant.b', 1.1), ('plant.dead_zone.b_r', 0.4),
+                       ('safety.command_limit', 20.0), ('loop.rate', 100.0)):
+        changed = c.replace(**{key: value})
+        assert changed.trajectory is c.trajectory
+        assert changed.to_flat() == {**c.to_flat(), key: value}
+        assert changed.to_flat() == Configuration.from_flat(changed.to_flat()).to_flat()
+    assert c.replace(**{'trajectory.repeat': False}).trajectory is not c.trajectory
+    assert c.replace(**{'plant.model': 'first_order'}).trajectory is not c.trajectory
+
+
+def test_design_rules_follow_a_trajectory_once(monkeypatch):
+    from dz_ros.core.design.rules import check
+
+    c = Configuration.from_flat({**WAYPOINTS, 'plant.a3': 1.0})
+    first = check(c)
+    calls = []
+    original = type(c.trajectory).evaluate
+    monkeypatch.setattr(type(c.trajectory), 'evaluate', staticmethod(
+        lambda *numbers: calls.append(1) or original(*numbers)))
+    assert check(c.replace(**{'controller.lambda': 1.01}))
+    assert check(c) == first
+    assert not calls
+
+
+@pytest.mark.parametrize('value', ['9' * 10_000, [0.5] * 10_000, 10 ** 4000, 1 << 100_000,
+                                   {'a': ['b' * 1000]}], ids=lambda value: type(value).__name__)
+def test_what_an_error_shows_is_bounded(value):
+    for key in ('plant.x0', 'plant.' + 'x' * 10_000):
+        with pytest.raises(ConfigurationError) as refused:
+            Configuration.from_flat({key: value})
+        assert len(str(refused.value)) < 1000
+
+
+def test_lists_of_recordings_are_bounded():
+    points = {'trajectory.times': [float(k) for k in range(MOST_ITEMS + 1)],
+              'trajectory.positions': [0.0, 1.0], 'trajectory.kind': 'waypoints'}
+    with pytest.raises(ConfigurationError, match=f'at most {MOST_ITEMS} are taken from'):
+        Configuration.from_untrusted(points)
+    with pytest.raises(ConfigurationError, match='must have 50001 numbers'):    # a user's own
+        Configuration.from_flat(points)
+    assert Configuration.from_untrusted(points, {
+        'trajectory.times': [0.0, 1.0]}).trajectory.name == 'waypoints'

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The controller's rules on intervals, references and repeated states."""
 
 import math
@@ -6,8 +7,8 @@ import numpy as np
 import pytest
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.controller import accepted_interval, Controller
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop.controller import accepted_interval, Controller
+from dz_ros.core.loop.offline import simulate
 from dz_ros.core.records import Reference, State, Status
 
 T = 0.005

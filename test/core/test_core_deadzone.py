@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The dead-zone against its definition, its decomposition and a vector program of its own."""
 
 import math

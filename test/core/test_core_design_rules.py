@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the design rules say of configurations, and the stability limit on λ."""
 
 from dataclasses import asdict
@@ -6,16 +7,16 @@ import math
 
 import pytest
 
-from dz_ros.core import along_reference
-from dz_ros.core.along_reference import disturbance_along_reference, largest_derivatives
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.deadzone import DeadZone
-from dz_ros.core.design_rules import check, least_robust_gain
-from dz_ros.core.finding import ERROR, Finding, INFO, WARNING, worst
+from dz_ros.core.design import along_reference
+from dz_ros.core.design.along_reference import disturbance_along_reference, largest_derivatives
+from dz_ros.core.design.finding import ERROR, Finding, INFO, WARNING, worst
+from dz_ros.core.design.rules import check, least_robust_gain
 from dz_ros.core.laws import LAWS
 from dz_ros.core.laws.extensions import break_point
 from dz_ros.core.laws.pd import Pd
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop.offline import simulate
 from dz_ros.core.plants import PLANTS
 
 
@@ -61,12 +62,15 @@ def test_numbers_of_the_example():
     assert '0.04 1/s' in bounds.words
     for item, epsilon in zip(found('chatter', controller__m_bounds=[1.0, 1.0]),
                              (0.0064, 0.0132, 0.0222), strict=True):
-        assert item.numbers['smallest_epsilon'] == pytest.approx(epsilon, abs=5e-5)
+        assert item.numbers['smallest_epsilon'] == pytest.approx(epsilon, rel=6e-3)
 
 
 @pytest.mark.parametrize(('values', 'rule', 'level', 'part'), [
-    ({'plant.dead_zone.m_l': 0.9}, '(A2)', WARNING, 'slopes 1 on the right'),
-    ({'plant.dead_zone.m_r_drift': [0.1, 1.0]}, '(A2)', WARNING, 'drifting'),
+    ({'plant.dead_zone.m_l': 0.9}, '(A2)', INFO, 'not assumed: slopes 1 on the right'),
+    ({'plant.dead_zone.m_l': 1.000001}, '(A2)', INFO, 'holds: the same slope 1 on both sides'),
+    ({'plant.dead_zone.m_l': 1.000001, 'controller.m_bounds': [0.9, 1.0]}, '(A4)', INFO,
+     'holds: the dead-zone lies within'),
+    ({'plant.dead_zone.m_r_drift': [0.1, 1.0]}, '(A2)', INFO, 'drifting'),
     ({'plant.dead_zone.b_r': 0.7}, '(A4)', WARNING, 'b_r in [0.7, 0.7] but stated in [0.1, 0.6]'),
     ({'plant.dead_zone.b_l_drift': [0.3, 1.0]}, '(A4)', WARNING, 'b_l in [-0.9, -0.3]'),
     ({'plant.b': 2.0}, 'input gain', WARNING, 'b = 2'),
@@ -77,7 +81,8 @@ def test_numbers_of_the_example():
     ({'controller.law': 'pid'}, 'Ω', INFO, 'promises no set'),
     ({'controller.law': 'exact_inverse'}, '(18)', INFO, 'compensates the dead-zone itself'),
     ({'controller.law': 'robust', 'controller.k_star': 2.0}, '(18)', ERROR, 'of the integral'),
-    ({'controller.law': 'robust'}, '(18)', WARNING, 'of the disturbance 1.25'),
+    ({'controller.law': 'robust'}, '(18)', INFO, 'of the disturbance 1.25'),
+    ({'controller.law': 'robust', 'controller.rho_1': 1.0}, '(18)', WARNING, 'covers 0'),
     ({'controller.law': 'robust'}, 'projection', INFO, 'holds'),
     ({'controller.law': 'robust', 'controller.b_bounds': [0.2, 2.0]}, 'projection', WARNING,
      'φ̂ may have to be in [0.4, 5.88]'),
@@ -91,7 +96,7 @@ def test_rules(values, rule, level, part):
     item, = found(rule, **values)
     assert item.level == level
     assert part in item.words
-    assert bool(item.change) == (level != INFO) or rule == '(A2)'
+    assert bool(item.change) == (level != INFO)
 
 
 DEVICE = {'driver.name': 'serial', 'controller.law': 'robust'}
@@ -113,13 +118,13 @@ def test_of_a_real_device_the_plant_s_section_proves_nothing(driven):
 
 
 @pytest.mark.parametrize(('values', 'rule'), [
-    ({'plant.dead_zone.m_l': 0.9}, '(A2)'), ({'plant.dead_zone.b_r': 0.7}, '(A4)'),
+    ({'plant.dead_zone.m_l': 1.9}, '(A4)'), ({'plant.dead_zone.b_r': 0.7}, '(A4)'),
     ({'plant.b': 2.0}, 'input gain'), ({'controller.b_bounds': [0.2, 2.0]}, 'projection')])
 def test_a_model_outside_the_bounds_contradicts_them(values, rule):
     item, = found(rule, **DEVICE, **values)
     assert item.level == WARNING
     assert item.words.startswith('contradicted: ')
-    assert "correct the plant's section" in item.change or rule == '(A2)'
+    assert "correct the plant's section" in item.change
 
 
 @pytest.mark.parametrize(('on', 'v_max', 'complains'), [

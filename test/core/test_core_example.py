@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A user's own plant, trajectory and law, found by ``module:Class`` and by entry point."""
 
 import importlib.util
@@ -16,7 +17,7 @@ import yaml
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws import LAWS
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop.offline import simulate
 from dz_ros.core.plants import PLANTS
 from dz_ros.core.trajectories import TRAJECTORIES
 from dz_ros.errors import ConfigurationError, UnknownNameError

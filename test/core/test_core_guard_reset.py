@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The latched guard of `robust` is released while the law runs, said with seq and memory."""
 
 import dataclasses
@@ -5,12 +6,12 @@ import json
 
 import numpy as np
 
-from dz_ros.analysis.audit import audit
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import Channel, RunData
 from dz_ros.core.records import Command, Reference, State, Terms
 from dz_ros.core.safety.controller_guard import ControllerGuard
 from dz_ros.drivers.simulated import SimulatedActuator
+from dz_ros.replay.audit.audit import audit
 
 
 def test_reset_while_running_is_announced_and_the_audit_follows_it():

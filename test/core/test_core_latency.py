@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Histograms of a hop: against numpy's percentiles, classes and windows."""
 
 import json
@@ -8,7 +9,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from dz_ros.core.latency import edges, Latency, PER_DECADE, quantile
+from dz_ros.core.loop.latency import edges, Latency, PER_DECADE, quantile
 from dz_ros.core.safety.health import Level, Report
 
 DURATIONS = st.lists(st.floats(0.0, 100.0), min_size=1, max_size=30)

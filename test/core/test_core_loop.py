@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The closed loop: reference runs, the figures of its steady state, delay, limits, noise, rate."""
 
 from pathlib import Path
@@ -6,8 +7,8 @@ import numpy as np
 import pytest
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.loop import measurement_noise, simulate
-from dz_ros.core.records import STATUS
+from dz_ros.core.loop.offline import measurement_noise, simulate
+from dz_ros.core.signals import STATUS
 
 DATA = Path(__file__).parents[1] / 'data'
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Plants and their integration against equations of motion written again, and solved by scipy."""
 
 from itertools import pairwise
@@ -9,7 +10,7 @@ from scipy import integrate, signal
 
 from dz_ros.core import schema
 from dz_ros.core.deadzone import DeadZone
-from dz_ros.core.integration import make_advance
+from dz_ros.core.loop.integration import make_advance
 from dz_ros.core.plants import PLANTS
 
 PERIOD = 0.005
@@ -38,6 +39,17 @@ def servo(p, t, x, w):
     return (p.torque_constant * w - friction - cogging) / p.inertia
 
 
+def axis(p, t, x, w):
+    friction = p.viscous_friction * x[1] + p.coulomb_friction * np.tanh(x[1] / p.smoothing_speed)
+    return (p.force_constant * w - friction - p.constant_force) / p.mass
+
+
+def thruster(p, t, x, w):
+    drag = p.linear_drag * x[1] + p.quadratic_drag * x[1] ** 2 * np.sign(x[1])
+    push = p.thrusters * np.cos(p.angle) * p.slope * w
+    return (push - drag - p.wave_force * np.sin(p.wave_frequency * t)) / (p.mass + p.added_mass)
+
+
 def pendulum(p, t, x, w):
     arm = p.length * np.array([np.sin(x[0]), np.cos(x[0])])  # from the pivot to the mass
     pivot = p.pivot_acceleration * np.sin(p.pivot_frequency * t)
@@ -53,8 +65,24 @@ def valve_actuator(p, t, x, w):
     return p.velocity_gain * p.natural_frequency ** 2 * w - poles[:0:-1] @ x
 
 
+def two_link_arm(p, t, x, w):
+    """The view of its first joint, the elbow held at a right angle."""
+    elbow = p.mass_2 * (p.length_1 ** 2 + p.centre_2 ** 2) + p.inertia_2
+    weight = (p.mass_1 * p.centre_1 + p.mass_2 * p.length_1) * p.gravity
+    return (p.torque_constant * w - weight * np.cos(x[0]) - p.friction_1 * x[1]) / (
+        p.mass_1 * p.centre_1 ** 2 + p.inertia_1 + elbow)
+
+
+def rov_planar(p, t, x, w):
+    """The view of its surge, straight ahead."""
+    drag = p.linear_drag_surge + p.quadratic_drag_surge * np.abs(x[1])
+    return (w - drag * x[1]) / (p.mass + p.added_mass_surge)
+
+
 EQUATIONS = {item.__name__: item for item in (
-    wang2004, zhang_feng1997, first_order, servo, pendulum, valve_actuator)}
+    wang2004, zhang_feng1997, first_order, servo, pendulum, valve_actuator, axis,
+    thruster, two_link_arm,
+    rov_planar)}
 # Scale of command and dead-zone, of the state, and parameters away from their defaults.
 SCALES = {
     'wang2004': (4.0, (2.0, 3.0), {'a1': 1.3, 'a2': 0.7, 'a3': 1.6, 'b': 0.5}),
@@ -62,8 +90,14 @@ SCALES = {
     'first_order': (40.0, (0.5,), {'mass': 11.0, 'linear_drag': 20.0, 'wave_frequency': 2.0}),
     'servo': (8.0, (1.0, 0.2), {'inertia': 0.7, 'viscous_friction': 0.6, 'coulomb_friction': 0.8,
                                 'torque_constant': 1.4, 'smoothing_speed': 0.05}),
+    'axis': (8.0, (0.1, 0.5), {'mass': 90.0, 'constant_force': -3.0, 'coulomb_friction': 15.0,
+                               'smoothing_speed': 0.2}),
+    'thruster': (100.0, (0.5, 0.5), {'mass': 11.0, 'linear_drag': 20.0, 'wave_frequency': 2.0,
+                                     'angle': 0.5, 'slope': 0.1}),
     'pendulum': (1.0, (0.5, 1.0), {'bob_mass': 0.2, 'length': 0.8, 'damping': 0.3,
                                    'pivot_acceleration': 2.0}),
+    'two_link_arm': (40.0, (0.5, 1.0), {'mass_2': 1.4, 'gravity': 5.0, 'torque_constant': 1.3}),
+    'rov_planar': (60.0, (0.5, 0.5), {'mass': 11.0, 'linear_drag_surge': 20.0}),
     'valve_actuator': (5.0, (0.1, 0.1, 1.0), {'natural_frequency': 25.0, 'damping_ratio': 0.15,
                                               'spring_corner': 1.0}),
 }

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Records: their labels, their numbers, and a simulated run as channels of them."""
 
 import numpy as np
@@ -5,8 +6,9 @@ import pytest
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import Channel, from_run
-from dz_ros.core.loop import simulate
-from dz_ros.core.records import Command, Reference, State, Status, TERM_NAMES, Terms, Truth
+from dz_ros.core.loop.offline import simulate
+from dz_ros.core.records import Command, Reference, State, Status, Terms, Truth
+from dz_ros.core.signals import TERM_NAMES
 from dz_ros.core.trajectories.sinusoid import Sinusoid
 
 RECORDS = [
@@ -88,5 +90,5 @@ def test_channels_hold_what_the_run_holds(found):
 def test_a_missing_column_is_named_with_those_there_are():
     channel = Channel(('seq', 'v'), np.zeros((2, 2)), np.zeros(2, int), np.zeros(2, int))
     assert len(channel) == 2
-    with pytest.raises(KeyError, match='w: this channel has seq, v'):
+    with pytest.raises(KeyError, match='records without w: they carry seq, v'):
         channel['w']

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The rivals: each against a program of its own, and what they reach on the example."""
 
 import math
@@ -9,8 +10,8 @@ from dz_ros.core import schema
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws import LAWS
 from dz_ros.core.laws.neural import Neural, NeuralGains
-from dz_ros.core.loop import simulate
-from dz_ros.core.records import STATUS
+from dz_ros.core.loop.offline import simulate
+from dz_ros.core.signals import STATUS
 from dz_ros.errors import ConfigurationError
 
 PERIOD = 0.005
@@ -161,7 +162,7 @@ def test_is_the_program_of_its_description(name, order, count):
         x = x_d[:-1] + 0.05 * np.sin((9.0 if k % 400 < 200 else 2.0) * t + i[:-1])
         y = np.sin(np.arange(1, count + 1) * t)
         new_memory = [math.nan] * len(memory)
-        terms = [math.nan] * (STATUS + 1 + len(law.signal_names))
+        terms = [0.0] * STATUS + [math.nan] * (1 + len(law.signal_names))
         v = law.kernel(law.constants, memory, x_d.tolist(), x.tolist(), y.tolist(), intervals[k],
                        new_memory, terms)
         memory = new_memory

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The recommended law: reference run, every step against a program of its own, guard."""
 
 from pathlib import Path
@@ -7,10 +8,10 @@ import pytest
 
 from dz_ros.core import schema
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.laws.robust import Robust
-from dz_ros.core.laws.robust_gains import layer, RobustGains
-from dz_ros.core.loop import simulate
-from dz_ros.core.records import STATUS, Status
+from dz_ros.core.laws.robust import layer, Robust, RobustGains
+from dz_ros.core.loop.offline import simulate
+from dz_ros.core.records import Status
+from dz_ros.core.signals import STATUS
 from dz_ros.errors import ConfigurationError
 
 DATA = Path(__file__).parents[1] / 'data'

@@ -1,4 +1,5 @@
-"""Guards, gate, watchdogs and states one by one."""
+# SPDX-License-Identifier: Apache-2.0
+"""Guards, limiter, watchdogs and states one by one."""
 
 import itertools
 import math
@@ -6,11 +7,11 @@ import math
 import pytest
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.controller import Controller
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop.controller import Controller
+from dz_ros.core.loop.offline import simulate
 from dz_ros.core.records import Reference, State, Status
 from dz_ros.core.safety.controller_guard import ControllerGuard, REPEATS
-from dz_ros.core.safety.table import Mode
+from dz_ros.core.safety.modes import Mode
 from dz_ros.errors import ConfigurationError
 
 T = 0.005
@@ -22,9 +23,9 @@ class Loop:
     """A controller's guard fed with the offline loop's states and references."""
 
     def __init__(self, **settings):
+        keys = {key.replace('__', '.'): value for key, value in settings.items()}
         self.configuration = Configuration.from_flat({
-            'loop.duration': 2.0, 'safety.fault_after': 80, **{key.replace('__', '.'): value
-                                     for key, value in settings.items()}})
+            'loop.duration': 2.0, 'safety.fault_after': 80, **keys})
         self.run = simulate(self.configuration)
         self.begun = []
         self.guard = ControllerGuard(self.configuration,

@@ -1,4 +1,5 @@
-"""Guards, gate, watchdogs and states one by one."""
+# SPDX-License-Identifier: Apache-2.0
+"""Guards, limiter, watchdogs and states one by one."""
 
 import math
 
@@ -7,8 +8,8 @@ import pytest
 from dz_ros.core.records import Command
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
 from dz_ros.core.safety.guards import RIVALS
+from dz_ros.core.safety.modes import Mode
 from dz_ros.core.safety.settings import SafetySettings
-from dz_ros.core.safety.table import Mode
 
 T = 0.005
 
@@ -98,16 +99,16 @@ def test_reset_needs_a_fresh_command_and_a_released_button():
     assert actuator.send(2.0, t=10.0 + T) == 2.0
 
 
-def test_after_trouble_of_the_device_nobody_could_have_answered():
+def test_after_a_fault_of_the_device_nobody_could_have_answered():
     actuator = Actuator()
     actuator.send(2.0)
     actuator.guard.fault('the drive has restarted', T)
     assert 'no command' in actuator.guard.held_by(10.0)
-    assert actuator.guard.held_by(10.0, heard=False) == ''
+    assert actuator.guard.held_by(10.0, command_required=False) == ''
     actuator.guard.estop(10.0)
-    assert 'pressed' in actuator.guard.reset(10.0, heard=False)
+    assert 'pressed' in actuator.guard.reset(10.0, command_required=False)
     actuator.guard.estop(10.0, pressed=False)
-    assert actuator.guard.reset(10.0, heard=False) == ''
+    assert actuator.guard.reset(10.0, command_required=False) == ''
     assert actuator.mode is Mode.WAITING    # safe until a command comes
     assert actuator.guard.output == 0.0
 

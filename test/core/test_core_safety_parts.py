@@ -1,4 +1,5 @@
-"""Tables, gate and guards of messages one by one."""
+# SPDX-License-Identifier: Apache-2.0
+"""Tables, limiter and guards of messages one by one."""
 
 import math
 
@@ -6,11 +7,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 import pytest
 
-from dz_ros.core.safety.gate import OutputGate
-from dz_ros.core.safety.guards import FutureGuard, JUMP, RIVALS, SequenceGuard, Verdict
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.records import Command
+from dz_ros.core.safety.command_limiter import CommandLimiter
+from dz_ros.core.safety.controller_guard import ControllerGuard
+from dz_ros.core.safety.guards import (
+    FutureGuard,
+    JUMP,
+    plausible,
+    RIVALS,
+    SequenceGuard,
+    Verdict,
+)
+from dz_ros.core.safety.modes import Action, Event, LATCHED, LIFECYCLE, LifecycleState, Mode, MODES
 from dz_ros.core.safety.settings import SafetySettings
 from dz_ros.core.safety.supervisor import Supervisor
-from dz_ros.core.safety.table import Action, Event, LATCHED, LIFE, Life, Mode, MODES
 
 T = 0.005
 
@@ -55,65 +66,68 @@ def test_life_follows_the_standard_and_a_latch_outlives_it():
     supervisor.happen(Event.INPUT)
     assert supervisor.running
     supervisor.happen(Event.FAULT, 'why')
-    for name, life in (('deactivate', Life.INACTIVE), ('cleanup', Life.UNCONFIGURED),
-                       ('configure', Life.INACTIVE), ('activate', Life.ACTIVE)):
+    for name, state in (('deactivate', LifecycleState.INACTIVE),
+                        ('cleanup', LifecycleState.UNCONFIGURED),
+                        ('configure', LifecycleState.INACTIVE),
+                        ('activate', LifecycleState.ACTIVE)):
         supervisor.transition(name)
-        assert (supervisor.life, supervisor.mode, supervisor.reason) == (life, Mode.FAULT, 'why')
+        assert supervisor.lifecycle_state is state
+        assert (supervisor.mode, supervisor.reason) == (Mode.FAULT, 'why')
     supervisor.transition('shutdown')
-    assert supervisor.life is Life.FINALIZED
+    assert supervisor.lifecycle_state is LifecycleState.FINALIZED
     with pytest.raises(LookupError):
         supervisor.transition('activate')
     assert [change.mode for change in changes] == [Mode.RUNNING, Mode.FAULT]
-    assert {life for life, _ in LIFE} | {Life.FINALIZED} == set(Life)
+    assert {state for state, _ in LIFECYCLE} | {LifecycleState.FINALIZED} == set(LifecycleState)
 
 
-# --- the gate
+# --- the limiter
 
 def test_with_everything_off_the_very_number_comes_out():
-    gate = OutputGate(SafetySettings(), T)
-    gate.start(0.0)
+    limiter = CommandLimiter(SafetySettings(), T)
+    limiter.start(0.0)
     for k, v in enumerate((0.1, -1e300, 5e-324, -0.0, 16.734958)):
-        out = gate.let_out(v, k * T)
+        out = limiter.apply(v, k * T)
         assert (out, math.copysign(1.0, out)) == (v, math.copysign(1.0, v))
-    assert (gate.limited, gate.refused) == (0, 0)
+    assert (limiter.limited, limiter.refused) == (0, 0)
 
 
 @pytest.mark.parametrize('v', [math.nan, math.inf, -math.inf])
 def test_what_is_not_finite_comes_out_safe(v):
     for settings in (SafetySettings(safe_command=0.25),
                      SafetySettings(safe_command=0.25, command_limit=5.0, rate_limit=1.0)):
-        gate = OutputGate(settings, T)
-        assert gate.let_out(v, 0.0) == gate.output == 0.25
-        assert gate.refused == 1
+        limiter = CommandLimiter(settings, T)
+        assert limiter.apply(v, 0.0) == limiter.output == 0.25
+        assert limiter.refused == 1
 
 
 @given(st.lists(st.tuples(st.floats(), st.floats())), st.floats(0.0, 1e300), st.floats(0.0, 10.0),
        st.sampled_from([0.0, 2.0]), st.floats(-1.0, 1.0))
 def test_nothing_else_ever_comes_out(commands, rate, ramp, limit, safe):
-    gate = OutputGate(SafetySettings(rate_limit=rate, ramp=ramp, command_limit=limit,
-                                     safe_command=safe), T)
-    gate.start(0.0)
+    limiter = CommandLimiter(SafetySettings(rate_limit=rate, ramp=ramp, command_limit=limit,
+                                            safe_command=safe), T)
+    limiter.start(0.0)
     for v, t in commands:
-        out = gate.let_out(v, t)
+        out = limiter.apply(v, t)
         assert math.isfinite(out)
         assert limit == 0.0 or abs(out) <= limit
 
 
 def test_limits_on_value_and_rate_and_the_ramp():
-    gate = OutputGate(SafetySettings(command_limit=2.0), T)
-    assert [gate.let_out(v, 0.0) for v in (1.0, 3.0, -3.0)] == [1.0, 2.0, -2.0]
-    gate = OutputGate(SafetySettings(rate_limit=100.0, safe_command=1.0), T)
-    gate.start(7.0)
-    steps = [gate.let_out(10.0, 7.0 + k * T) for k in range(4)]
+    limiter = CommandLimiter(SafetySettings(command_limit=2.0), T)
+    assert [limiter.apply(v, 0.0) for v in (1.0, 3.0, -3.0)] == [1.0, 2.0, -2.0]
+    limiter = CommandLimiter(SafetySettings(rate_limit=100.0, safe_command=1.0), T)
+    limiter.start(7.0)
+    steps = [limiter.apply(10.0, 7.0 + k * T) for k in range(4)]
     assert steps == pytest.approx([1.5, 2.0, 2.5, 3.0])
     # After a long pause it moves by three samples' worth, not by the pause's.
-    assert gate.let_out(10.0, 99.0) == pytest.approx(4.5)
-    assert gate.safe(99.1) == 1.0       # the way to the safe command has no limit
-    gate = OutputGate(SafetySettings(ramp=0.1, safe_command=1.0), T)
-    gate.start(2.0)
-    assert gate.let_out(3.0, 2.0) == 1.0
-    assert gate.let_out(3.0, 2.05) == pytest.approx(2.0)
-    assert gate.let_out(3.0, 2.2) == 3.0
+    assert limiter.apply(10.0, 99.0) == pytest.approx(4.5)
+    assert limiter.safe(99.1) == 1.0       # the way to the safe command has no limit
+    limiter = CommandLimiter(SafetySettings(ramp=0.1, safe_command=1.0), T)
+    limiter.start(2.0)
+    assert limiter.apply(3.0, 2.0) == 1.0
+    assert limiter.apply(3.0, 2.05) == pytest.approx(2.0)
+    assert limiter.apply(3.0, 2.2) == 3.0
 
 
 # --- guards of messages
@@ -163,3 +177,58 @@ def test_a_stamp_from_the_future_is_one_ahead_of_the_quickest_transport():
     assert not guard.ahead(100.035, 5.010, 0.0)         # off
     guard.restart()
     assert not guard.ahead(-3600.0, 5.2, 0.015)
+
+
+# --- numbers of any origin
+
+ODD = st.floats() | st.sampled_from([0.0, 1.0, 2.0, 0.5, -1.0, 1e308, 2.0 ** 53, 1e9, 1e10])
+
+
+@given(st.lists(st.tuples(*[ODD] * 6), max_size=8), st.booleans())
+def test_whatever_comes_is_judged_and_what_is_taken_is_a_record(messages, resync):
+    guard = SequenceGuard(echo=3)
+    for number, numbers in enumerate(messages):
+        verdict = guard.judge(numbers, 0.01 * number, resync)
+        if verdict in (Verdict.TAKEN, Verdict.REPEATED):
+            command = Command.from_numbers(numbers)
+            assert command[:3] + command[4:] == numbers[:3] + numbers[4:]
+            assert command.echo_seq == numbers[3] >= -1
+            assert abs(command.stamp) <= 1e9
+            assert plausible(numbers, 3)
+    assert sum(guard.counts) == len(messages)
+
+
+@pytest.mark.parametrize(('numbers', 'reason'), [
+    ((1e308, 0.0, 0.0, 0.0), 'seq is no count'), ((1.5, 0.0, 0.0, 0.0), 'seq is no count'),
+    ((2.0, 1e10, 0.0, 0.0), 'stamp is no loop time'),
+    ((2.0, 0.0, 0.0, 0.5), 'echo_seq is no count'),
+    ((2.0, 0.0, 0.0, -2.0), 'echo_seq is no count'),
+    ((2.0, 0.0, 0.0, 1e308), 'echo_seq is no count'), ((2.0, math.nan, 0.0, 0.0), 'not finite'),
+])
+def test_numbers_that_are_no_record_are_counted_by_cause(numbers, reason):
+    guard = SequenceGuard(echo=3)
+    for following in (False, True):     # as the first message, and as the one after seq 1
+        if following:
+            assert guard.judge((1.0, 0.0, 0.0, 0.0), 0.0, True) is Verdict.TAKEN
+        guard.judge(numbers, 0.0, resync=False)
+    assert guard.rejected() == {reason: 2}
+
+
+def test_a_reference_from_the_future_is_not_followed():
+    c = Configuration.from_flat({'loop.timing': 'realtime'})
+    guard = ControllerGuard(c)
+    guard.supervisor.transition('configure')
+    guard.supervisor.transition('activate')
+    guard.reference((0.0, 1e8, 1.0, 0.0, 0.0), 0.0)
+    state = guard.take((0.0, 0.0, *c.x0, -1.0, 0.0, 0.0), 0.0)
+    assert not guard.ready(state)       # nobody has sent the one for now
+    assert guard.reference((0.0, 0.0, *c.trajectory(0.0)), 0.0)
+    assert guard.ready(state)
+    honest = guard.answer(state, 0.0)
+    assert guard.supervisor.running
+    for stamp in (1e8, 1e308, 5.1):
+        assert not guard.reference((1.0, stamp, 1e6, 0.0, 0.0), 0.001)
+    assert guard.reference_guard.rejected() == {'stamp from the future': 2,
+                                                'stamp is no loop time': 1}
+    assert guard.controller.newest_reference() == 0.0
+    assert guard.answer(state, 0.002) == honest

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """No sequence of messages, events and times lets a bad command out of either end of the loop."""
 
 import math
@@ -9,8 +10,8 @@ from hypothesis.stateful import initialize, invariant, rule, RuleBasedStateMachi
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
 from dz_ros.core.safety.controller_guard import ControllerGuard
+from dz_ros.core.safety.modes import LIFECYCLE, LifecycleState, Mode
 from dz_ros.core.safety.settings import SafetySettings
-from dz_ros.core.safety.table import LIFE, Life, Mode
 from dz_ros.core.schema import to_dict
 
 T = 0.005
@@ -18,7 +19,7 @@ ANY = st.one_of(st.floats(), st.floats(-20.0, 20.0),
                 st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, -0.0]))
 WAIT = st.one_of(st.floats(0.0, 3.5 * T), st.floats(0.0, 30.0), st.just(T))
 SEQ = st.one_of(st.integers(-3, 20), st.integers(-2 ** 60, 2 ** 60), ANY)
-TRANSITIONS = st.sampled_from(sorted({name for _, name in LIFE} - {'shutdown'}))
+TRANSITIONS = st.sampled_from(sorted({name for _, name in LIFECYCLE} - {'shutdown'}))
 
 
 def positive(largest):
@@ -62,7 +63,7 @@ class Ends(RuleBasedStateMachine):
         assert all(map(math.isfinite, command.numbers()))
         self.out.append(command.v)
         if self.controller.supervisor.mode is not Mode.RUNNING:
-            assert command.v == self.controller.controller.gate.settings.safe_command
+            assert command.v == self.controller.controller.limiter.settings.safe_command
         self.held(self.actuator.command(command.numbers(), self.seq, self.now))
 
     def held(self, v):
@@ -117,7 +118,7 @@ class Ends(RuleBasedStateMachine):
         if pressed:
             assert self.controller.supervisor.mode is Mode.ESTOP
             assert self.actuator.supervisor.mode is Mode.ESTOP
-            assert self.actuator.output == self.actuator.gate.settings.safe_command
+            assert self.actuator.output == self.actuator.limiter.settings.safe_command
 
     @rule()
     def reset(self):
@@ -130,7 +131,7 @@ class Ends(RuleBasedStateMachine):
     def transition(self, name):
         for end in (self.controller, self.actuator):
             latched = end.supervisor.latched
-            if (end.supervisor.life, name) not in LIFE:
+            if (end.supervisor.lifecycle_state, name) not in LIFECYCLE:
                 continue
             if end is self.controller:
                 for answer in end.transition(name):
@@ -161,9 +162,10 @@ class Ends(RuleBasedStateMachine):
             self.out.clear()
             assert all(map(math.isfinite, self.controller.controller.memory))
             if not self.actuator.supervisor.running:
-                assert self.actuator.output == self.actuator.gate.settings.safe_command
-            assert self.actuator.supervisor.life is not Life.FINALIZED
+                assert self.actuator.output == self.actuator.limiter.settings.safe_command
+            assert self.actuator.supervisor.lifecycle_state is not LifecycleState.FINALIZED
 
 
 TestEnds = Ends.TestCase
-TestEnds.settings = settings(max_examples=60, stateful_step_count=60, deadline=None)
+TestEnds.settings = settings(max_examples=6 * settings.default.max_examples // 10,
+                             stateful_step_count=60, deadline=None)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The sampled loop and its slope λ: where it is lost, what the rule says of it."""
 
 import math
@@ -5,18 +6,17 @@ import math
 import pytest
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.design_rules import check
-from dz_ros.core.finding import ERROR, INFO, WARNING
+from dz_ros.core.design.finding import ERROR, INFO, WARNING
+from dz_ros.core.design.rules import check
+from dz_ros.core.design.stability import is_lost, lambda_limit, lost_from_start
 from dz_ros.core.laws import LAWS
 from dz_ros.core.laws.pd import Pd
-from dz_ros.core.stability import is_lost, lambda_limit, lost_from_start
 from dz_ros.errors import ConfigurationError
 
 
 def configuration(**values):
     return Configuration.from_flat({key.replace('__', '.'): value
                                     for key, value in values.items()})
-
 
 
 @pytest.mark.parametrize(('limit', 'level'), [
@@ -43,8 +43,8 @@ def test_a_loop_that_rests_at_its_reference_is_not_lost(law):
         assert lost_from_start(configuration(controller__law=law, controller__lambda=9.0)) is True
 
 
-def test_a_kick_that_comes_later_is_not_the_initial_state():
-    thrown = {'plant.kick': [9.2, 400.0, 0.5], 'loop.duration': 10.0}
+def test_a_pulse_that_comes_later_is_not_the_initial_state():
+    thrown = {'plant.disturbance_pulse': [9.2, 400.0, 0.5], 'loop.duration': 10.0}
     assert is_lost(configuration(**thrown))
     assert lost_from_start(configuration(**thrown)) is False
     assert lambda_limit(configuration(**thrown)) == lambda_limit(configuration())

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Filtered error, its weights and the set it converges to, against polynomials of numpy."""
 
 from hypothesis import given

@@ -1,16 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
 """The kit against our own drivers, and against one deliberately broken driver for each check."""
 
 from __future__ import annotations
 
+import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 
-from dz_ros.drivers.conformance import wave
+from dz_ros.core.configuration import Configuration
+from dz_ros.drivers.conformance.driver_checks import check_contract, wave
 from dz_ros.drivers.mock import Mock
 from dz_ros.drivers.simulated import SimulatedActuator, SimulatedParameters
+from dz_ros.errors import DriverError
 
-NAMES = ['declaration', 'opens', 'measurement', 'answers at once', 'no trouble', 'safe command',
+NAMES = ['declaration', 'opens', 'measurement', 'answers at once', 'no fault', 'safe command',
          'limit', 'stop and reset', 'restart', 'reconnect']
 
 
@@ -22,6 +27,34 @@ def test_our_own_pass_every_check(check, name):
     assert all(item.figure and item.limit and not item.words for item in found.values())
 
 
+def test_a_stop_ends_the_check_with_the_safe_command(monkeypatch):
+    told = []
+
+    class Noting(SimulatedActuator):
+        name = 'noting'
+        Parameters = SimulatedParameters
+
+        def command(self, v, t):
+            told.append(v)
+            super().command(v, t)
+
+        def safe(self, v, t):
+            told.append(('safe', v))
+            super().safe(v, t)
+
+        def disable(self):
+            told.append('disabled')
+
+    monkeypatch.setitem(sys.modules, 'noting', SimpleNamespace(Here=Noting))
+    c = Configuration.from_flat({'driver.name': 'noting:Here'})
+    results = check_contract(c, 0.1, True, lambda: 'e-stop pressed' if len(told) > 50 else '')
+    assert [next(results).name, next(results).name] == ['declaration', 'opens']
+    with pytest.raises(DriverError, match=r'^e-stop pressed$'):
+        next(results)
+    assert len(told) < 55
+    assert told[-3:] == [('safe', 0.0), 0.0, 'disabled']     # the base class sends it as command
+
+
 def test_an_observed_velocity_passes_too(check):
     found = check('mock', driver__measures=1, driver__limit=3.0)
     assert all(item.passed for item in found.values())
@@ -30,13 +63,13 @@ def test_an_observed_velocity_passes_too(check):
 
 def test_what_cannot_be_seen_is_not_passed(check):
     class Silent(Broken):
-        def in_force(self):
+        def applied_command(self):
             return None
 
     found = check(Silent, plant__command_limit=5.0)
     unseen = {item.name for item in found.values() if item.passed is None}
     assert unseen == {'safe command', 'limit', 'stop and reset'}
-    assert 'in_force' in found['limit'].words
+    assert 'applied_command' in found['limit'].words
     assert check('simulated')['limit'].passed is None           # none declared
     assert 'saturate' in check('mock', saturate=False, driver__limit=5.0)['limit'].words
 
@@ -105,8 +138,8 @@ class Waits(Broken):
         super().command(v, t)
 
 
-class Troubled(Broken):
-    def trouble(self):
+class Faulty(Broken):
+    def fault(self):
         return 'over-temperature' if self.t > 0.1 else ''
 
 
@@ -120,14 +153,14 @@ class IgnoresSafe(Broken):
         pass
 
 
-class SafeIsTrouble(Broken):
+class SafeIsFault(Broken):
     """A quick stop that says so and cannot be left."""
 
     def safe(self, v, t):
         super().safe(v, t)
         self.stopped = self.t > 0.0
 
-    def trouble(self):
+    def fault(self):
         return 'quick stop' if getattr(self, 'stopped', False) else ''
 
 
@@ -181,7 +214,7 @@ def test_the_wave_is_never_the_safe_command():
 def test_without_an_amplitude_the_safe_command_is_not_told_from_the_last_one(check):
     found = check(IgnoresSafe, amplitude=0.0)
     assert found['safe command'].passed is None
-    assert 'nothing tells them' in found['safe command'].words
+    assert 'as small as the safe one' in found['safe command'].words
 
 
 @pytest.mark.parametrize(('driver', 'name', 'words'), [
@@ -196,10 +229,10 @@ def test_without_an_amplitude_the_safe_command_is_not_told_from_the_last_one(che
     (MeasuresNan, 'measurement', 'finite numbers'),
     (MeasuresTooFew, 'measurement', 'without a measurement of 2'),
     (Waits, 'answers at once', 'thread'),
-    (Troubled, 'no trouble', 'over-temperature'),
-    (Raises, 'no trouble', 'ZeroDivisionError: by zero'),
+    (Faulty, 'no fault', 'over-temperature'),
+    (Raises, 'no fault', 'ZeroDivisionError: by zero'),
     (IgnoresSafe, 'safe command', 'still holds'),
-    (SafeIsTrouble, 'stop and reset', 'quick stop'),
+    (SafeIsFault, 'stop and reset', 'quick stop'),
     (ScalesWrong, 'limit', 'another command'),
     (StaysStopped, 'stop and reset', 'no command acts'),
     (ClosesBadly, 'restart', 'busy'),
@@ -222,7 +255,7 @@ def test_a_deaf_device_and_one_whose_link_fails_are_found(check):
     deaf = check('mock', driver__script=['0- deaf'])
     assert deaf['stop and reset'].passed is False
     gone = check('mock', driver__script=['20- raise cable'])
-    assert 'RuntimeError: cable' in gone['no trouble'].words
+    assert 'RuntimeError: cable' in gone['no fault'].words
     assert not gone['measurement'].passed
 
 

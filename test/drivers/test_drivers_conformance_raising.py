@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The kit against drivers that raise, or tell nonsense, where they are only asked."""
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ class Broken(SimulatedActuator):
 class CannotTell(Broken):
     """Knows what it holds as long as nobody asks."""
 
-    def in_force(self):
+    def applied_command(self):
         raise KeyError('demand')
 
 
 class TellsNonsense(Broken):
-    def in_force(self):
+    def applied_command(self):
         return 'much'
 
 
@@ -47,9 +48,9 @@ class UnitsRaise(Broken):
 
 @pytest.mark.parametrize(('driver', 'failed', 'words'), [
     (CannotTell, {'safe command', 'limit', 'stop and reset'},
-     "in_force: KeyError: 'demand'"),
+     "applied_command: KeyError: 'demand'"),
     (TellsNonsense, {'safe command', 'limit', 'stop and reset'},
-     "in_force: 'much' is neither a finite number nor None"),
+     "applied_command: 'much' is neither a finite number nor None"),
     (UnitsRaise, {'declaration'}, "the driver: KeyError: 'unit'"),
 ])
 def test_whatever_a_driver_raises_fails_that_check_and_the_rest_go_on(check, driver, failed,
@@ -66,4 +67,4 @@ def test_a_limit_that_raises_is_found_and_the_rest_go_on(check):
     found = check(LimitRaises)
     assert list(found)[:2] == ['declaration', 'opens']
     assert 'OSError: not now' in found['limit'].words
-    assert not found['no trouble'].passed
+    assert not found['no fault'].passed

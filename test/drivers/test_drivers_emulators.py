@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Faults on a script, the bytes they touch, and the verb that starts emulators."""
 
 import signal
@@ -10,7 +11,7 @@ from dz_ros.cli.main import main
 from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.emulators import Emulator, EMULATORS, Fault
 from dz_ros.drivers.serial.cable import Cable
-from dz_ros.drivers.serial.stand_ins import EmulatedDevice
+from dz_ros.drivers.serial.emulated_devices import EmulatedDevice
 from dz_ros.errors import ConfigurationError, DriverError
 
 KNOWN = {'unplug': '', 'corrupt': ''}
@@ -134,17 +135,17 @@ def test_the_plant_behind_an_emulated_device_is_the_configured_one():
     configuration = Configuration.from_flat({'plant.model': 'servo', 'plant.x0': [0.1, 0.0]})
     device = EmulatedDevice(configuration, (1e-3, 1e-6, 1e-6), 30000)
     device.step(b'', 10_000_000)        # however long nobody commands, it stands still
-    assert device._measure() == ([100000, 0], 0)
-    device._actuate(3000)
+    assert device.measure() == ([100000, 0], 0)
+    device.actuate(3000)
     for k in range(1, 201):
         device.step(b'', 10_000_000 + 1000 * k)
     twin = configuration.make_driver()
     twin.command(3.0, 0.0)
     for k in range(1, 201):
         twin.advance(1e-3 * k, 0)
-    assert device._measure()[0] == pytest.approx([value * 1e6 for value in twin.measure()], abs=2)
+    assert device.measure()[0] == pytest.approx([value * 1e6 for value in twin.measure()], abs=2)
     device.trip(4)
-    assert device._measure()[1] == 4
+    assert device.measure()[1] == 4
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

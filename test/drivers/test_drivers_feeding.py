@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The thread for slow devices: newest wins, nothing waits, nothing is lost at the end."""
 
 import threading
@@ -5,7 +6,7 @@ import time
 
 import pytest
 
-from dz_ros.drivers.feeding import Feeder, Order
+from dz_ros.drivers.feeder import Feeder, Order
 from dz_ros.errors import DriverError
 
 TIME_OUT = 20.0
@@ -69,7 +70,7 @@ def test_the_loop_s_side_never_waits(device, feeder):
     assert device.asked.acquire(timeout=TIME_OUT)   # and keeps the thread
     assert feeder.newest() is None
     feeder.put(1.0, 0.0)
-    assert feeder.trouble() == ''
+    assert feeder.fault() == ''
     assert device.orders == []      # all this while the device has not answered
 
 
@@ -83,18 +84,18 @@ def test_a_measurement_comes_in_and_grows_old(device):
     feeder.stop(TIME_OUT)
 
 
-def test_what_it_raises_is_trouble_until_it_works_again(device, feeder):
+def test_what_it_raises_is_a_fault_until_it_works_again(device, feeder):
     device.answer = OSError('bus off\nno carrier')
     device.turn.release()
-    until(lambda: feeder.trouble() == 'bus off no carrier')
+    until(lambda: feeder.fault() == 'bus off no carrier')
     feeder.forgive()
-    assert feeder.trouble() == ''
+    assert feeder.fault() == ''
     device.answer = RuntimeError()
     device.turn.release()
-    until(lambda: feeder.trouble() == 'RuntimeError')
+    until(lambda: feeder.fault() == 'RuntimeError')
     device.answer = (3.0, 4.0)
     device.turn.release()
-    until(lambda: feeder.trouble() == '' and feeder.newest() == (3.0, 4.0))
+    until(lambda: feeder.fault() == '' and feeder.newest() == (3.0, 4.0))
 
 
 def test_stopping_lets_the_last_order_out(device, feeder):
@@ -118,10 +119,10 @@ def test_a_device_that_holds_the_thread_is_left_behind_in_words(device):
 
 
 def test_a_thread_that_was_left_behind_is_not_revived_by_the_next_start(device):
-    feeder = Feeder(device, 0.005, fresh=TIME_OUT)
+    feeder, before = Feeder(device, 0.005, fresh=TIME_OUT), set(threading.enumerate())
     feeder.start()
     assert device.asked.acquire(timeout=TIME_OUT)
-    left = feeder._thread
+    left, = set(threading.enumerate()) - before
     with pytest.raises(DriverError, match='left behind'):
         feeder.stop(0.05)
     feeder.put(9.0, 0.0)        # too late for the one, not for the other
@@ -144,7 +145,7 @@ def test_a_start_knows_nothing_of_before(device, feeder):
     until(lambda: feeder.newest() == (1.0, 2.0))
     device.answer = OSError('bus off')
     device.turn.release()
-    until(feeder.trouble)
+    until(feeder.fault)
     for _ in range(3):      # the third one is not answered
         assert device.asked.acquire(timeout=TIME_OUT)
     with pytest.raises(DriverError):
@@ -152,7 +153,7 @@ def test_a_start_knows_nothing_of_before(device, feeder):
     feeder.put(3.0, 0.0)
     feeder.start()
     assert feeder.newest() is None
-    assert feeder.trouble() == ''
+    assert feeder.fault() == ''
     device.turn.release(1000)
     until(lambda: feeder.exchanges > 3)
     assert device.orders == []

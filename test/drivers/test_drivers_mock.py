@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The mock's script: what it refuses, and that each fault is what it says, when it says."""
 
 import math
@@ -31,7 +32,7 @@ def measurements(driver, count):
 @pytest.mark.parametrize(('line', 'fault'), [
     ('7 none', Fault('none', 7, 7, '')), ('7-9 nan', Fault('nan', 7, 9, '')),
     (' 7-   frozen ', Fault('frozen', 7, math.inf, '')),
-    ('7 trouble it is hot', Fault('trouble', 7, 7, 'it is hot')),
+    ('7 fault it is hot', Fault('fault', 7, 7, 'it is hot')),
     ('3 slow 2e-3', Fault('slow', 3, 3, '2e-3')), ('open no such bus', Fault('open', 0, 0,
                                                                              'no such bus'))])
 def test_a_line_is_read_as_it_is_meant(line, fault):
@@ -39,8 +40,8 @@ def test_a_line_is_read_as_it_is_meant(line, fault):
 
 
 @pytest.mark.parametrize('line', [
-    '', 'none', '7', '7 gone', '9-7 none', '-7 none', 'x none', '7 none now', '7 trouble', 'open',
-    '7 open x', '7 slow', '7 slow soon', 'trouble hot', '7-8-9 none', '7 slow -1', '7 NONE'])
+    '', 'none', '7', '7 gone', '9-7 none', '-7 none', 'x none', '7 none now', '7 fault', 'open',
+    '7 open x', '7 slow', '7 slow soon', 'fault hot', '7-8-9 none', '7 slow -1', '7 NONE'])
 def test_a_line_that_is_none_is_refused_by_name(line):
     with pytest.raises(ConfigurationError, match=r'driver\.script') as caught:
         mock(line)
@@ -72,30 +73,30 @@ def test_it_measures_as_many_as_it_is_told():
 def test_commands_are_lost_while_it_is_deaf():
     driver = mock('0-4 deaf').make_driver()
     driver.command(1.0, 0.0)
-    assert driver.in_force() == 0.0
+    assert driver.applied_command() == 0.0
     for k in range(5):
         driver.advance((k + 1) * T, k)
     driver.safe(0.5, 5 * T)
-    assert driver.in_force() == 0.5
+    assert driver.applied_command() == 0.5
     assert driver.given == [(1.0, 0.0, False), (0.5, 5 * T, True)]
 
 
-def test_trouble_lasts_until_it_is_reset():
-    driver = mock('2 trouble hot').make_driver()
+def test_a_fault_lasts_until_it_is_reset():
+    driver = mock('2 fault hot').make_driver()
     told = []
     for k in range(6):
-        told.append(driver.trouble())
+        told.append(driver.fault())
         driver.advance((k + 1) * T, k)
     assert told == ['', '', 'hot', 'hot', 'hot', 'hot']
     driver.recover()
-    assert driver.trouble() == ''
+    assert driver.fault() == ''
 
 
-def test_within_its_samples_trouble_comes_back():
-    driver = mock('0- trouble hot').make_driver()
-    assert driver.trouble() == 'hot'
+def test_within_its_samples_a_fault_comes_back():
+    driver = mock('0- fault hot').make_driver()
+    assert driver.fault() == 'hot'
     driver.recover()
-    assert driver.trouble() == 'hot'
+    assert driver.fault() == 'hot'
 
 
 @pytest.mark.parametrize('name', ['open', 'enable', 'recover'])
@@ -114,7 +115,7 @@ def test_code_that_raises_and_code_that_is_slow():
     for k in range(3):
         hosted.measure(k * T)
         hosted.advance((k + 1) * T, k)
-    assert 'RuntimeError: broken wire' in hosted.trouble()
+    assert 'RuntimeError: broken wire' in hosted.fault()
     assert time.perf_counter() - started >= 0.02
     assert hosted.slow >= 1
     assert hosted.slowest >= 0.02

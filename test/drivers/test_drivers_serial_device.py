@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The device's machine: its table of modes, its watchdog, and that C and Python are the same."""
 
 import ctypes
@@ -261,7 +262,8 @@ def damaged(frame, at, by):
     return frame[:place] + bytes([frame[place] ^ by]) + frame[place + 1:]
 
 
-@settings(max_examples=500, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=5 * settings.default.max_examples, deadline=None,
+          suppress_health_check=[HealthCheck.too_slow])
 @given(STEPS)
 @example([(pack(Hello(1, 1000).body()), 0, 0, 0),
           (pack(Command(1, 0, 5, 6, 1, 2).body()), 5, 0, 0),

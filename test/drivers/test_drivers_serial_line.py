@@ -1,74 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
 """The serial driver on a port with nothing, or somebody else, behind it."""
 
-import os
-import pty
+import itertools
 import threading
-import tty
 
 import pytest
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.drivers.serial.framing import pack, Receiver
-from dz_ros.drivers.serial.protocol import Command, decode, Hello, Info, Mode, Request, State
+from dz_ros.drivers.serial.framing import pack
+from dz_ros.drivers.serial.protocol import Command, Hello, Info, Mode, Request, State
 from dz_ros.errors import ConfigurationError, DriverError, MissingDependencyError
 
 pytest.importorskip('serial', reason="pyserial is not installed: pip install 'dz_ros[serial]'")
 
-TIME_OUT = 60.0
-
-
-class Fake:
-    """A pseudo-terminal at whose other end the test answers."""
-
-    def __init__(self, answer=None):
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        self.port = os.ttyname(self._slave)
-        self.heard = []
-        self._receiver = Receiver()
-        self._answer = answer
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._serve, daemon=True)
-        if answer is not None:
-            self._thread.start()
-
-    def _serve(self):
-        os.set_blocking(self._master, False)
-        while not self._stop.wait(0.002):
-            try:
-                data = os.read(self._master, 4096)
-            except BlockingIOError:
-                data = b''
-            for body in self._receiver.feed(data):
-                self.heard.append(decode(body))
-                for reply in self._answer(self.heard[-1]):
-                    os.write(self._master, reply)
-
-    def close(self):
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        os.close(self._master)
-        os.close(self._slave)
-
-
-@pytest.fixture
-def fake():
-    made = []
-
-    def give(answer=None):
-        made.append(Fake(answer))
-        return made[-1]
-
-    yield give
-    for item in made:
-        item.close()
+COUNT = itertools.count(1)
 
 
 def polite(frame, values=(1, 2), limit=1000, scales=(1.0, 1.0), mode=Mode.DISABLED, fault=0):
     """Answer as a device that does nothing."""
+    count = next(COUNT)
     yield pack(Info(frame.session, len(values), limit, 1.0, scales[:len(values)], 'fake').body())
-    yield pack(State(frame.session, 1, 2, getattr(frame, 'seq', 0), mode, 0, fault,
+    yield pack(State(frame.session, count, 1000 * count, getattr(frame, 'seq', 0), mode, 0, fault,
                      values).body())
 
 
@@ -122,13 +74,14 @@ def test_a_device_that_measures_too_little_is_said(fake, opening):
 
 
 @pytest.mark.parametrize(('mode', 'words'), [
-    (Mode.DISABLED, 'does not take power: no answer'),
+    (Mode.DISABLED, 'does not take power: the device is in mode disabled, asked for safe'),
     (Mode.FAULT, 'does not leave its fault: the device reports fault 5'),
     (Mode.ESTOP, 'e-stop of the device is latched: release it, then reset'),
 ])
 def test_a_device_that_takes_no_power_is_said(fake, mode, words, opening):
     with pytest.raises(DriverError, match=words):
-        opening(fake(lambda frame: polite(frame, mode=mode, fault=5)).port)
+        opening(fake(lambda frame: polite(frame, mode=mode,
+                                          fault=5 * (mode is Mode.FAULT))).port)
 
 
 def test_an_e_stop_is_lifted_by_a_reset_alone(fake, make):
@@ -156,7 +109,7 @@ def test_another_device_after_a_reconnection_is_not_taken(fake, make, until):
         driver.enable()
         limit[0] = 2000
         # It says nothing by itself, so it is greeted anew.
-        until(lambda: 'another device answers' in driver.trouble())
+        until(lambda: 'another device answers' in driver.fault())
         with pytest.raises(DriverError, match="another device answers: 'fake'"):
             driver.recover()
     finally:
@@ -164,25 +117,24 @@ def test_another_device_after_a_reconnection_is_not_taken(fake, make, until):
 
 
 def test_nobody_waits_for_a_line_that_takes_nothing(fake, make, until):
-    port = fake()
-    driver = make(port.port)
-    driver._link._connect()
-    driver._powered = True
-    writer = threading.Thread(target=driver._link._write, daemon=True)
-    writer.start()
+    there = fake(lambda frame: polite(frame, mode=Mode.SAFE))
+    driver = make(there.port, silence=300.0)
+    driver.open()
+    driver.enable()
+    there.stop()
     # Each write that does not fit takes 0.1 s of the writer: a caller that waited for it would
     # need hours for these.
     for k in range(200_000):
         driver.command(float(k), 0.0)
-        assert driver.measure() is None
-    until(lambda: driver._link.counts['not written'] > 0, driver, 3.0)
+    until(lambda: driver.link.refused.counts['frames not written'] > 0, driver, 3.0)
+    assert driver.measure() is None
     driver.close()
-    writer.join(TIME_OUT)
-    assert not writer.is_alive()
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith(there.port)]
 
 
 def test_the_newest_command_is_the_one_that_is_sent(fake, make, until):
-    there = fake(lambda frame: polite(frame, mode=Mode.RUN))
+    there = fake(lambda frame: polite(frame, mode=Mode.SAFE if getattr(
+        frame, 'request', None) is Request.SAFE else Mode.RUN))
     driver = make(there.port)
     driver.open()
     driver.enable()
@@ -223,7 +175,7 @@ def test_limits_change_while_it_runs(make):
     driver.configure(Configuration.from_flat({**flat, 'driver.limit': 2.0,
                                               'safety.command_hold': 8}))
     assert driver.limit == 2.0
-    assert driver._hold_ms == 40
+    assert driver.hold_ms == 40
 
 
 def test_a_command_wished_before_the_line_broke_moves_nothing_after_it(fake, make, until):
@@ -231,13 +183,15 @@ def test_a_command_wished_before_the_line_broke_moves_nothing_after_it(fake, mak
     driver = make(there.port, silence=30.0)
     driver.open()
     driver.enable()
-    with driver._link._news:        # the writer waits until the line has broken
+    with driver.link._news:        # the writer waits until the line has broken
         driver.command(5.0, 0.0)
-        driver._link._break('the line has gone')
-    until(lambda: driver._link.newest() is not None)
+        driver.link._break('the line has gone')
+    until(lambda: driver.link.newest() is not None)
     before = there.heard[-1].session
     until(lambda: isinstance(there.heard[-1], Command), driver, 5.0)
     driver.close()
-    assert driver.trouble() == 'the line has gone'
+    assert driver.fault() == 'the line has gone'
     assert before == there.heard[-1].session
-    assert {frame.request for frame in there.heard if isinstance(frame, Command)} == {Request.SAFE}
+    # That is a session nobody has given power in.
+    assert {frame.request for frame in there.heard if isinstance(frame, Command)
+            and frame.session == before} == {Request.DISABLE}

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The serial protocol: bytes as documented, no number that was not sent."""
 
 import math

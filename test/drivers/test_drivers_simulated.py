@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The simulated actuator against the offline loop and an independent integrator."""
 
 import numpy as np
@@ -5,13 +6,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop.offline import simulate
 
 
 @pytest.mark.parametrize('overrides', [
     {}, {'loop.delay': 2}, {'plant.command_limit': 5.0}, {'plant.noise': [0.001, 0.01]},
     {'plant.dead_zone.b_r_drift': [0.25, 0.9], 'plant.dead_zone.m_l': 0.5},
-    {'plant.kick': [0.3, -20.0, 0.05], 'loop.delay': 1}])
+    {'plant.disturbance_pulse': [0.3, -20.0, 0.05], 'loop.delay': 1}])
 def test_commands_at_the_samples_repeat_the_offline_loop(overrides):
     configuration = Configuration.from_flat({'loop.duration': 1.0, **overrides})
     run = simulate(configuration)
@@ -65,16 +66,29 @@ def test_several_periods_at_once_are_integrated_in_full():
     assert together.x == pytest.approx(apart.x, abs=1e-13)
 
 
-def test_a_kick_may_be_given_while_it_runs():
+def test_a_pulse_may_be_given_while_it_runs():
     plain = Configuration.from_flat({})
-    kicked = plain.replace(**{'plant.kick': [0.5, 20.0, 0.05]})
-    whole, later = (item.make_driver() for item in (kicked, plain))
+    disturbed = plain.replace(**{'plant.disturbance_pulse': [0.5, 20.0, 0.05]})
+    whole, later = (item.make_driver() for item in (disturbed, plain))
     for sample in range(200):
-        if sample == 80:        # 0.4 s, before the kick begins
-            later.configure(kicked)
+        if sample == 80:        # 0.4 s, before the pulse begins
+            later.configure(disturbed)
         for driver in (whole, later):
             driver.command(0.3, sample * 0.005)
         one, other = (driver.advance((sample + 1) * 0.005, sample) for driver in (whole, later))
         assert one == other
         assert (one.disturbance < -15.0) == (100 <= sample < 110)
     assert whole.x == later.x
+
+
+def test_commands_in_steps_are_those_of_the_offline_loop_bit_for_bit():
+    c = Configuration.from_flat({'plant.command_resolution': 0.02, 'plant.command_limit': 8.0,
+                                 'loop.delay': 1, 'loop.duration': 1.0})
+    offline, driver = simulate(c), c.make_driver()
+    for k in range(c.loop.samples):
+        assert driver.measure() == tuple(offline.x[k])
+        driver.command(offline.v[k], k * c.loop.period)
+        driver.advance((k + 1) * c.loop.period, k)
+    steps = offline.v_applied / 0.02
+    assert np.abs(steps - np.round(steps)).max() < 1e-9
+    assert np.abs(offline.v_applied).max() <= 8.0

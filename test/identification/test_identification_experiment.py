@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The moves: within their limits, whatever the device does, and the safe command at every end."""
 
 import math
@@ -11,9 +12,9 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.hosted import HostedDriver
 from dz_ros.drivers.simulated import SimulatedActuator
 from dz_ros.errors import DriverError
-from dz_ros.identification.experiment import BREACHES, Experiment
-from dz_ros.identification.plan import Limits, Plan
-from dz_ros.identification.session import run_session, StoppedError
+from dz_ros.identification.experiment.moves import BREACHES, Experiment, TRIES
+from dz_ros.identification.experiment.plan import Limits, Plan
+from dz_ros.identification.experiment.session import run_session, StoppedError
 
 SERVO = {'plant.model': 'servo', 'plant.noise': [1e-3, 1e-2], 'loop.timing': 'lockstep'}
 LIMITS = Limits(1.5, 1.0, 4.0)
@@ -41,14 +42,15 @@ class Watched(SimulatedActuator):
         self.told.append('closed')
 
 
-def session(flat, limits=LIMITS, plan=None, stopped=lambda: '', driver=Watched):
+def session(flat, limits=LIMITS, plan=None, stopped=lambda: '', driver=Watched,
+            wait=lambda seq: seq):
     c = Configuration.from_flat({**SERVO, **flat})
     experiment = Experiment(limits, plan or Plan(repeats=4), c.plant.order, c.loop.period,
                             c.safety.safe_command)
     hosted = HostedDriver(c)
     hosted.driver = driver(c.driver_parameters, c)
     try:
-        samples = run_session(c, experiment, lambda seq: seq, stopped, hosted)
+        samples = run_session(c, experiment, wait, stopped, hosted)
     except DriverError as error:
         return hosted.driver, experiment, error
     return hosted.driver, experiment, samples
@@ -76,7 +78,7 @@ def test_the_same_seed_moves_the_same_and_another_does_not():
     assert len(one) != len(other) or not np.array_equal(one, other)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=settings.default.max_examples // 8, deadline=None)
 @given(st.floats(0.3, 3.0), st.floats(0.3, 3.0), st.floats(0.5, 8.0), st.floats(0.0, 2.0),
        st.integers(0, 5))
 def test_whatever_the_device_is_the_command_is_limited_and_the_last_one_is_safe(
@@ -130,7 +132,7 @@ def test_what_is_written_down_is_what_the_device_was_given():
 
 def test_a_limit_that_is_passed_stops_it_and_it_goes_back():
     # A gust at t = 3 s throws it beyond the speed limit.
-    driver, experiment, samples = session({'plant.kick': [3.0, 30.0, 0.05]})
+    driver, experiment, samples = session({'plant.disturbance_pulse': [3.0, 30.0, 0.05]})
     assert len(experiment.breaches) == 1
     assert 'speed' in experiment.breaches[0]
     beyond = np.flatnonzero(np.abs(samples.x[:, 1]) > 1.02 * LIMITS.speed)
@@ -146,6 +148,77 @@ def test_it_gives_up_where_limits_are_passed_again_and_again():
                            'plant.viscous_friction': 0.001, 'plant.cogging_torque': 0.0})
     assert isinstance(error, DriverError)
     assert str(error).startswith(f'a limit was passed {BREACHES + 1} times')
+
+
+def stalls(at, samples):
+    """Return a clock that misses samples at some of them."""
+    left = list(at)
+
+    def wait(seq):
+        return seq + samples if left and seq >= left[0] and left.pop(0) else seq
+
+    return wait
+
+
+def moves(samples, kind):
+    """Return the number of moves of a kind."""
+    found = np.array([each == kind for each in samples.kinds])
+    return int(np.count_nonzero(np.diff(found.astype(int)) == 1) + found[0])
+
+
+def test_a_move_in_which_the_machine_stalled_is_made_again():
+    _, _, calm = session({})
+    ramp = int(np.flatnonzero([kind == 'ramp' for kind in calm.kinds])[-1])
+    _, experiment, samples = session({}, wait=stalls([ramp - 20], 60))
+    assert experiment.stalls == pytest.approx([0.3])
+    assert experiment.breaches == []
+    assert moves(samples, 'ramp') == moves(calm, 'ramp') + 1
+    _, experiment, samples = session({}, wait=stalls([ramp - 20], 5))       # a few are a hole
+    assert experiment.stalls == []
+    assert moves(samples, 'ramp') == moves(calm, 'ramp')
+
+
+def test_stalls_without_end_are_not_repeated_without_end():
+    _, experiment, samples = session({}, plan=Plan(repeats=1),
+                                     wait=stalls(range(300, 10 ** 6), 40))
+    assert len(experiment.stalls) > 10
+    assert isinstance(samples, DriverError) or moves(samples, 'ramp') <= 4 * TRIES
+
+
+class Offended(Watched):
+    """It has a fault once the host was silent, until reset."""
+
+    resets, silent, last = 0, False, 0.0
+
+    def advance(self, t, seq):
+        self.silent |= t - self.last > 0.1
+        self.last = t
+        super().advance(t, seq)
+
+    def fault(self):
+        return 'no command for 0.1 s' if self.silent else ''
+
+    def recover(self):
+        self.resets += 1
+        self.silent = False
+
+
+def test_a_device_that_missed_its_host_is_reset_and_the_move_made_again():
+    driver, experiment, samples = session({}, driver=Offended, wait=stalls([900], 60))
+    assert driver.resets == 1
+    assert not isinstance(samples, DriverError)
+    assert experiment.stalls == pytest.approx([0.3, 0.05])
+    assert ('safe', 0.0) not in driver.told[:100]
+
+
+def test_a_fault_without_a_stall_ends_it():
+    class Broken(Watched):
+        def fault(self):
+            return 'overheated' if len(self.told) > 900 else ''
+
+    driver, _, error = session({}, driver=Broken)
+    assert str(error) == 'overheated'
+    assert driver.told[-3:] == [('safe', 0.0), 'disabled', 'closed']
 
 
 @pytest.mark.parametrize(('flat', 'said'), [

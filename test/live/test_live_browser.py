@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page of a running loop in a real browser."""
 
 import json
@@ -29,6 +30,15 @@ def loop(processes, ros_domain, tmp_path):
                         run, '--set', 'safety.fault_after=4000')
     address = process.wait_for_line('live page:').split()[-1]
     return address, process, run
+
+
+CUT_OFF = """() => [...document.querySelectorAll(
+    '.tile dd, .tile dt, .fields label span, .fields .help, .legend li, .nodes p, .panel h2')]
+    .filter((item) => item.clientWidth && (item.scrollWidth > item.clientWidth + 1
+            || item.scrollHeight > item.clientHeight + 1
+            || item.getBoundingClientRect().right > document.documentElement.clientWidth + 1))
+    .map((item) => item.innerText)"""
+"""What is wider or higher than its box, or beyond the screen."""
 
 
 def wait_live(page):
@@ -89,7 +99,7 @@ def test_an_estop_in_the_page_has_the_actuator_safe_within_three_samples(open_pa
         if how == 'click':
             page.click('#estop')
         else:       # from wherever the focus is, a field included
-            page.focus('#kick-size')
+            page.focus('#pulse-size')
             page.keyboard.press('Escape')
         page.until("document.querySelector('#state-word').innerText === 'E-STOP'")
         page.until("document.querySelector('#answer').innerText.startsWith('e-stop')")
@@ -138,20 +148,21 @@ def test_a_refused_gain_says_why_and_an_accepted_one_is_recorded(open_page, loop
     playwright.expect(page.locator('#section-plant .answer')).to_contain_text('has taken')
     page.until("""() => { const {data, count} = dzRos.app.stores[0];
         return Math.abs(data.zone_high[count - 1] - 0.31) < 1e-6; }""")
-    page.fill('#kick-size', '15')
-    page.click('#kick button')
-    playwright.expect(page.locator('#kick-answer')).to_contain_text('has taken plant.kick')
-    kicked = page.evaluate('dzRos.app.stores[0].last')
-    page.until(f'dzRos.app.stores[0].last > {kicked} + 1.0')
+    page.fill('#pulse-size', '15')
+    page.click('#pulse button')
+    playwright.expect(page.locator('#pulse-answer')).to_contain_text(
+        'has taken plant.disturbance_pulse')
+    disturbed = page.evaluate('dzRos.app.stores[0].last')
+    page.until(f'dzRos.app.stores[0].last > {disturbed} + 1.0')
     process.interrupt()
     data = read_run(run)
     actions = [json.loads(text) for _, node, text in data.events if node == '/live_node']
     assert [(item['action'], item['done']) for item in actions] == [
-        ('set', False), ('set', False), ('set', True), ('kick', True)]
+        ('set', False), ('set', False), ('set', True), ('disturbance_pulse', True)]
     assert actions[2]['values'] == {'plant.dead_zone.b_r': 0.31}
     stated = [json.loads(text) for _, _, text in data.events
               if '"owns": ["loop", "plant"' in text]
-    assert stated[-1]['configuration']['plant.kick'][1] == 15.0
+    assert stated[-1]['configuration']['plant.disturbance_pulse'][1] == 15.0
     truth = data.channels['truth']
     assert 0 < (truth['disturbance'] < -14.0).sum() <= 10       # 50 ms at 200 Hz
 
@@ -231,18 +242,27 @@ def test_no_width_scrolls_sideways_while_a_loop_runs(open_page, loop):
         page.click(f'#section-{section} summary')
     page.until("document.querySelectorAll('.nodes li').length >= 3")
     page.until("document.querySelectorAll('.events li').length > 0")
-    page.fill('#kick-size', 'x' * 200)
-    page.click('#kick button')          # its refusal is one long word
-    page.until("document.querySelector('#kick-answer').innerText.includes('must be a number')")
-    for width in (320, 390, 768, 3840):
+    page.fill('#pulse-size', 'x' * 200)
+    page.click('#pulse button')          # its refusal is one long word
+    page.until("document.querySelector('#pulse-answer').innerText.includes('must be a number')")
+    assert page.inner_text('#pulse-unit') == 'rad/s²'
+    for width in (320, 400, 768, 3840):
         page.set_viewport_size({'width': width, 'height': 800})
         page.until(f"document.querySelector('#figure-error canvas').clientWidth <= {width}")
         page.until(f'document.documentElement.scrollWidth <= {width}')
-        for part in ('#estop', '#nodes', '#kick', '#section-controller', '#section-plant'):
+        assert page.evaluate(CUT_OFF) == [], width
+        gain = page.locator('#section-controller fieldset div', has=page.locator(
+            'input[name="controller.k_star"]'))
+        assert gain.locator('label').inner_text().split() == ['k_star', 'k*', '[A]']
+        assert gain.locator('.help').is_visible()
+        assert 'robust gain' in gain.locator('.help').inner_text()
+        for part in ('#estop', '#nodes', '#pulse', '#section-controller', '#section-plant'):
             box = page.locator(part).bounding_box()
             assert box['width'] > 100, (width, part)
             assert box['x'] >= 0, (width, part)
             assert box['x'] + box['width'] <= width, (width, part)
+    assert page.locator('#section-controller legend').all_inner_texts() == [
+        'Gains of robust_eso', 'Known bounds']
 
 
 @pytest.mark.parametrize(('scheme', 'width'), [('light', 1400), ('dark', 390)])

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bounds and bands beside the rows, against the formulas written out and a simulated run."""
 
 import asyncio
@@ -10,16 +11,16 @@ import pytest
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop.offline import simulate
 from dz_ros.errors import ConfigurationError
 from dz_ros.live import counts as counts_module
-from dz_ros.live import recorded as recorded_module
+from dz_ros.live import recorded_source as recorded_module
 from dz_ros.live.columns import Layout
 from dz_ros.live.counts import counts
 from dz_ros.live.derived import Deriver
 from dz_ros.live.history import HEAD
-from dz_ros.live.recorded import Recorded
-from dz_ros.live.stated import labels_of
+from dz_ros.live.node_configurations import labels_of
+from dz_ros.live.recorded_source import Recorded
 
 
 def completed(values, *stated, flat=None):
@@ -50,6 +51,18 @@ def test_what_follows_from_a_configuration():
     assert found['band_low'] == pytest.approx([m * -0.7 * 0.5, m * -0.7])
     assert found['zone_high'].tolist() == [0.5, 0.5]
     assert found['zone_low'].tolist() == [-0.6, -0.6]
+
+
+def test_the_bound_is_steady_where_terms_are_late_or_the_law_was_not_active():
+    flat = {'controller.law': 'robust_eso'}
+    c = Configuration.from_flat(flat)
+    unit = c.law.gains.lambda_ ** (1 - c.plant.order)
+    target = c.law.design.target / c.law.design.epsilon
+    times, nan = np.arange(6.0), math.nan
+    found = completed({'published': times, 'stamp': times, 's': 0.0 * times,
+                       'epsilon': [nan, 0.04, nan, 0.0, nan, 0.05]}, (0.0, c), flat=flat)
+    expected = [c.law.design.epsilon, 0.04, 0.04, 0.04, 0.04, 0.05]
+    assert found['omega'] == pytest.approx([unit * target * each for each in expected])
 
 
 def test_a_drifting_dead_zone_drifts():
@@ -98,7 +111,7 @@ def test_every_kind_of_law_can_be_shown(law):
         10 ** 18)
     recorded = Recorded({'run': run})
     hello = recorded.hello()
-    table = recorded._tables[0]
+    table = recorded.tables[0]
     names = [item['name'] for item in hello['columns']]
     assert len(table) == hello['lengths'][0] == 201
     v = table[:, names.index('v')]
@@ -120,16 +133,17 @@ def test_a_run_of_many_events_is_introduced_in_few_texts():
     recorded = Recorded({'run': replace(run, events=events + odd)})
     said = recorded.now()
     assert len(said) == 1
-    assert len(said[0]['events']) == 3001
+    assert len(said[0]['events']) == 3000    # what is no event is left out
     assert max(item['stamp'] for item in said[0]['events']) < 1e-5
     assert json.dumps([recorded.hello(), *said], allow_nan=False)
 
 
 def test_a_long_run_is_thinned_without_losing_a_peak(monkeypatch):
     monkeypatch.setattr(recorded_module, 'MOST_ROWS', 400)
-    c = Configuration.from_flat({'loop.duration': 20.0, 'plant.kick': [11.03, 50.0, 0.01]})
+    c = Configuration.from_flat({'loop.duration': 20.0,
+                                 'plant.disturbance_pulse': [11.03, 50.0, 0.01]})
     recorded = Recorded({'run': from_run(simulate(c), 10 ** 18)})
-    table = recorded._tables[0]
+    table = recorded.tables[0]
 
     def ask(**limits):
         packed = asyncio.run(recorded.ask({'do': 'rows', 'id': 3, 'run': 0, **limits}))
@@ -138,8 +152,8 @@ def test_a_long_run_is_thinned_without_losing_a_peak(monkeypatch):
     rows = ask()
     assert len(rows) <= 1.3 * 400
     assert (np.diff(rows[:, 1]) > 0.0).all()
-    for name in recorded_module.TELLING:
-        at = recorded._layout.place(name)
+    for name in recorded_module.PEAK_COLUMNS:
+        at = recorded.layout.place(name)
         assert np.nanmax(rows[:, at]) == np.nanmax(table[:, at])
         assert np.nanmin(rows[:, at]) == np.nanmin(table[:, at])
     pieces, taken = [], 0

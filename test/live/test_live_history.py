@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The ring of rows: what is kept, what a viewer gets, what it costs."""
 
 from hypothesis import given
@@ -78,10 +79,10 @@ def test_begin_stays_within_what_is_kept():
 
 def test_memory_is_taken_at_once():
     history = History(5, 1000)
-    before = history._rows
+    before = history.nbytes
     for _ in range(50):
         history.append(np.ones((333, 5)))
-    assert history._rows is before
+    assert history.nbytes == before
     assert len(history) == 1000
 
 

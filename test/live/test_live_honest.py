@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the page says when its server hangs, is slow or has nothing: in a real browser, no loop."""
 
 import asyncio
@@ -55,7 +56,7 @@ class Loopless:
             self.source.add(20)
             self._server.publish()
             for message in self.source.now():
-                self._server.say(message)
+                self._server.broadcast(message)
             await asyncio.sleep(0.1)
         await self._server.close()
 
@@ -87,10 +88,11 @@ class Fine(Source):
         self.history = History(len(self.names), 5000)
         self.rows = True
         self.begun = clock()
+        self.ended = None       # when the loop ended as planned
 
     def hello(self):
         return {'mode': 'live', 'rate': 200.0, 'title': 'fine', 'namespace': '/', 'minutes': 1,
-                'columns': [{'name': name, 'unit': ''} for name in self.names], 'signals': [],
+                'columns': [{'name': name, 'unit': ''} for name in self.names],
                 'bounds': {}, 'parameters': [], 'simulated': True, 'sections': {}}
 
     @property
@@ -112,9 +114,12 @@ class Fine(Source):
     def now(self):
         node = {'name': 'plant_node', 'age': 0.1, 'gone': False, 'level': 0, 'message': 'well',
                 'mode': 'running', 'reason': '', 'values': {}}
+        ended = [] if self.ended is None else [
+            {'kind': 'event', 'event': 'finished', 'node': '/plant_node', 'stamp': 1.0}]
         return [{'kind': 'status', 'time': clock(), 'seq': self.history.head - 1, 'lost': 0,
-                 'stamp': clock() - self.begun, 'age': 0.0, 'rate': 200.0, 'nodes': [node],
-                 'recording': None, 'estop': False}]
+                 'stamp': clock() - self.begun,
+                 'age': 0.0 if self.ended is None else clock() - self.ended, 'rate': 200.0,
+                 'nodes': [node], 'recording': None, 'estop': False}, *ended]
 
     def add(self, count):
         if self.rows:
@@ -150,7 +155,7 @@ def test_an_estop_that_is_not_answered_says_so_and_is_asked_again(open_page, loo
     page.keyboard.press('Escape')
     page.until("document.querySelector('#alarm').innerText.startsWith('E-STOP NOT CONFIRMED')")
     assert page.evaluate('window.saidAt - window.pressed') < 5000.0      # 1 s, on a quiet machine
-    page.until(f"{WORD} === 'NO WORD FROM THE SERVER'")
+    page.until(f"{WORD} === 'NO MESSAGE FROM THE SERVER'")
     page.until(f'{BUTTONS}.every((button) => button.disabled)')
     assert page.is_enabled('#estop')
     loopless.thaw()
@@ -186,6 +191,18 @@ def test_rows_that_come_late_are_not_live(open_page, loopless, monkeypatch):
     live(page)
 
 
+def test_a_planned_end_is_not_an_error(open_page, loopless):
+    page = open_page(loopless.address)
+    live(page)
+    loopless.source.ended, loopless.source.rows = clock(), False
+    page.until(f"{WORD} === 'LOOP ENDED'")
+    assert page.evaluate('document.body.dataset.state') == 'ended'
+    assert page.inner_text('#tile-command dd') != '–'       # the last numbers stay
+    loopless.end()
+    page.until("document.querySelector('#state-why').innerText === 'the server has ended'")
+    assert page.evaluate('document.body.dataset.state') == 'ended'
+
+
 def test_without_rows_nothing_is_live(open_page, loopless):
     page = open_page(loopless.address)
     live(page)
@@ -209,12 +226,12 @@ def test_only_the_word_is_read_out_and_keys_work_from_everywhere(open_page, loop
         span = page.evaluate('dzRos.view.length')
         page.keyboard.press('+')
         assert page.evaluate('dzRos.view.length') < span, place
-    page.focus('#kick-size')            # a field keeps its keys
+    page.focus('#pulse-size')            # a field keeps its keys
     page.evaluate('dzRos.view.live()')
     page.keyboard.press('ArrowLeft')
     page.keyboard.press('-')
     assert page.evaluate('dzRos.view.follow')
-    assert '-' in page.input_value('#kick-size')
+    assert '-' in page.input_value('#pulse-size')
     page.focus('#reset')                # and a button its Space
     page.keyboard.press(' ')
     assert page.evaluate('dzRos.view.follow')

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Rows out of messages: whole, in order, each once, whatever order the messages come in."""
 
 import math
@@ -10,8 +11,8 @@ import pytest
 from dz_ros.core.configuration import Configuration
 from dz_ros.live import joiner as joiner_module
 from dz_ros.live.columns import DERIVED, Layout
-from dz_ros.live.joiner import Joiner, PATIENCE
-from dz_ros.live.stated import labels_of
+from dz_ros.live.joiner import Joiner, ROW_WAIT
+from dz_ros.live.node_configurations import labels_of
 
 CONFIGURATION = Configuration.from_flat({})
 LABELS = labels_of(CONFIGURATION)
@@ -78,8 +79,8 @@ def test_a_row_that_will_not_become_whole_comes_with_what_it_has():
     for topic in NAMES:
         put(joiner, topic, 0)
     put(joiner, 'state', 1)
-    assert column(joiner.take(0.5 * PATIENCE), 'seq') == [0.0]
-    rows = joiner.take(1.01 * PATIENCE)
+    assert column(joiner.take(0.5 * ROW_WAIT), 'seq') == [0.0]
+    rows = joiner.take(1.01 * ROW_WAIT)
     assert column(rows, 'seq') == [1.0]
     assert all(map(math.isnan, column(rows, 'v')))
 
@@ -174,12 +175,12 @@ def test_any_order_of_arrival_gives_the_same_rows(order):
 
 @pytest.mark.parametrize('topic', ['command', 'terms', 'reference', 'truth'])
 def test_answers_to_states_that_never_come_are_forgotten(topic, monkeypatch):
-    monkeypatch.setattr(joiner_module, 'MOST', 50)
+    monkeypatch.setattr(joiner_module, 'MAX_ROWS', 50)
     joiner = Joiner(LAYOUT)
     for seq in range(2000):
         if seq % 2:
             put(joiner, 'state', seq)
         put(joiner, topic, seq)
         joiner.take(0.0)
-    assert len(joiner._rows) <= 101
+    assert len(joiner) <= 101
     assert np.isfinite(joiner.stamp)

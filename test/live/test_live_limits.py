@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What nonsense, floods and silence do to the page's server: nothing but to whoever sends them."""
 
 import asyncio
@@ -9,9 +10,15 @@ import socket
 import numpy as np
 import pytest
 
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.laws import LAWS
 from dz_ros.live import connections as connections_module
 from dz_ros.live import server as server_module
 from dz_ros.live import viewer as viewer_module
+from dz_ros.live.columns import Layout, usable
+from dz_ros.live.history import HEAD, History, MOST_BYTES
+from dz_ros.live.joiner import Joiner, MOST_NUMBERS
+from dz_ros.live.node_configurations import labels_of
 
 aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed: no page to serve')
 
@@ -20,7 +27,8 @@ NONSENSE = ['', 'x', '[]', '1', 'null', '"estop"', '{', '{}', '{"do": "estop"}',
             '{"do": "estop", "id": true}', '{"do": "estop", "id": -1}', '{"do": 7, "id": 1}',
             '{"do": "estop", "id": 1e99}', '{"do": "exec", "id": 1}', '{"id": 1, "do": NaN}',
             '{"do": "estop", "id": 99999999999999999999}', '[' * 9000, '{"a":' * 2000,
-            '{"hello": 1}', b'\x00\x01', b'', '{"do": "kick", "id": 1, "acceleration": 1e400}',
+            '{"hello": 1}', b'\x00\x01', b'',
+            '{"do": "disturbance_pulse", "id": 1, "acceleration": 1e400}',
             '{"do": "set", "id": 1, "values": {"x": [-1e999]}}',
             '{"do": "set", "id": 1, "values": {"x": "\\ud800"}}',
             '{"do": "set", "id": 1, "values": {"\\udfff": 1}}', '{"\\ud800": 1}']
@@ -54,7 +62,7 @@ def test_what_comes_from_topics_ends_nobody(with_page, what):
         ws = await page.viewer()
         await with_page.texts(ws, 'status')
         page.source.now = lambda: [{'kind': 'status', **what}]
-        page.server.say({'kind': 'event', **what})
+        page.server.broadcast({'kind': 'event', **what})
         found = await with_page.texts(ws, 'event')
         assert 'NaN' not in json.dumps(found)
         later = await page.viewer()         # it is introduced with the same
@@ -68,7 +76,7 @@ def test_what_comes_from_topics_ends_nobody(with_page, what):
 def test_what_a_viewer_sends_can_be_told_to_all(with_page):
     async def test(page):
         async def act(_who, request, _stops):
-            page.server.say({'kind': 'event', **request})
+            page.server.broadcast({'kind': 'event', **request})
             return {'message': json.dumps(request)}
 
         page.source.act = act
@@ -95,7 +103,7 @@ def test_who_does_not_say_hello_is_shown_out(with_page, first):
 
 
 def test_pings_do_not_put_off_the_first_word(with_page, monkeypatch):
-    monkeypatch.setattr(server_module, 'FIRST_WORD', 0.5)
+    monkeypatch.setattr(server_module, 'HELLO_LIMIT', 0.5)
 
     async def test(page):
         ws = await page.viewer(hello=False)
@@ -121,8 +129,7 @@ def test_one_answer_in_numbers_at_a_time_waits_to_be_sent(with_page):
         (viewer,) = page.server.viewers
         for _ in range(50):
             await asyncio.sleep(0.01)
-        held = sum(map(len, viewer._waiting)) + viewer._transport.get_write_buffer_size()
-        assert held < 1.5 * len(page.source.answer)
+        assert viewer.held < 1.5 * len(page.source.answer)
         raw.close()
 
     with_page(test)
@@ -171,7 +178,7 @@ def test_there_is_an_end_to_viewers(with_page, monkeypatch):
 
 def test_those_without_the_token_do_not_take_every_place(with_page, monkeypatch):
     monkeypatch.setattr(server_module, 'MOST_VIEWERS', 3)
-    monkeypatch.setattr(server_module, 'KEPT', 1)
+    monkeypatch.setattr(server_module, 'TOKEN_PLACES', 1)
 
     async def test(page):
         kept = [await page.viewer(token='wrong') for _ in range(2)]
@@ -184,7 +191,7 @@ def test_those_without_the_token_do_not_take_every_place(with_page, monkeypatch)
 
 
 def test_there_is_an_end_to_connections_and_to_silence(with_page, monkeypatch):
-    monkeypatch.setattr(connections_module, 'MOST', 3)
+    monkeypatch.setattr(connections_module, 'MAX_CONNECTIONS', 3)
     monkeypatch.setattr(connections_module, 'SILENT', 0.3)
 
     async def test(page):
@@ -259,3 +266,45 @@ def test_a_viewer_that_stops_reading_is_dropped_and_nothing_waits_for_it(with_pa
         raw.close()
 
     with_page(test)
+
+
+def test_a_table_never_takes_more_memory_than_it_may():
+    wide = History(5000, 10 ** 9)
+    assert wide.nbytes <= MOST_BYTES
+    rows = np.ones((3, 5000))
+    wide.append(rows)
+    frame, head = wide.frame(0, 0.0)
+    assert head == 3
+    assert len(frame) == HEAD.size + rows.nbytes
+    few = History(5, 100)
+    few.append(np.ones((7, 5)))
+    assert len(few) == 7
+
+
+@pytest.mark.parametrize(('labels', 'usable_there'), [
+    (('seq', 'stamp', 'x0'), True), (('x0', 'seq', 'stamp'), False), ((), False),
+    (('seq', 'stamp', *(f'n{i}' for i in range(20_000))), False),
+    (('seq', 'stamp', 'x' * 1000), False), (('seq', 'stamp', 'a\nb'), False),
+    (('seq', 'stamp', 'a', 'a'), False),
+])
+def test_names_that_become_columns(labels, usable_there):
+    assert (usable(labels) == '') == usable_there
+
+
+def test_every_law_can_be_shown():
+    for law in LAWS.builtin:        # with their default settings
+        c = Configuration.from_flat({'controller.law': law})
+        assert not any(usable(found) for found in labels_of(c).values())
+
+
+def test_rows_that_wait_are_bounded_however_many_columns_there_are():
+    labels = {'state': ('seq', 'stamp', 'x0', 'echo_seq', 'echo_stamp', 'round_trip'),
+              'terms': ('seq', 'stamp', *(f'n{i}' for i in range(510)), 'echo_seq')}
+    layout = Layout(labels)
+    joiner = Joiner(layout)
+    numbers = [0.0] * len(labels['terms'])
+    for seq in range(20_000):
+        numbers[-1] = float(seq % 5000)
+        joiner.put('terms', numbers, 0.0, 0.0)
+        numbers[-1] = float(seq)
+    assert len(joiner) * layout.base <= 2 * MOST_NUMBERS

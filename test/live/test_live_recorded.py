@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page of recorded runs in a real browser: scrubbing, exporting, widths, accessibility."""
 
 import sys
@@ -7,12 +8,24 @@ import pytest
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop.offline import simulate
 from dz_ros.recording.reader import read_run
 from dz_ros.recording.save import save_run
+from dz_ros.report.report import write_report
 
 DZ = ('-m', 'dz_ros')
 pytestmark = pytest.mark.live
+
+
+BEYOND = """() => [...document.querySelectorAll('body *')].filter((item) => {
+    if (item.closest('thead')) return false;        // on a phone its words stand before the values
+    const {left, right, width} = item.getBoundingClientRect();
+    return width > 1 && (left < -1 || right > document.documentElement.clientWidth + 1);
+    }).map((item) => item.outerHTML.slice(0, 80))"""
+"""What reaches beyond the screen."""
+TEXT_WIDER_THAN_ITS_BOX = """() => [...document.querySelectorAll('p, li, td, th, caption, .wide')]
+    .filter((item) => item.clientWidth > 1 && item.scrollWidth > item.clientWidth + 1)
+    .map((item) => item.outerHTML.slice(0, 80))"""
 
 
 @pytest.fixture(scope='module')
@@ -80,8 +93,9 @@ def test_what_is_seen_is_exported(open_page, served, recorded, tmp_path):
 def test_of_a_thinned_run_times_are_counted_and_exported_over_every_row(
         open_page, processes, recorded, tmp_path):
     # The same server, that keeps fewer rows in the page.
-    fewer = ('import sys; from dz_ros.live import recorded; recorded.MOST_ROWS = 400; '
-             'recorded.PIECE = 300; from dz_ros.cli.main import main; sys.exit(main())')
+    fewer = ('import sys; from dz_ros.live import recorded_source as source; '
+             'source.MOST_ROWS = 400; source.PIECE = 300; '
+             'from dz_ros.cli.main import main; sys.exit(main())')
     addresses = [processes(*words, 'report', '--serve', recorded[0]).wait_for_line('http')
                  for words in ((sys.executable, '-c', fewer), DZ)]
     found = []
@@ -117,7 +131,7 @@ def test_two_runs_lie_over_each_other(open_page, processes, recorded):
     page.until("""() => dzRos.app.plots.shown[1].chart.data.length === 3
         && dzRos.app.plots.shown[1].chart.data[2].some((value) => value != null)""")
     lines = page.evaluate('dzRos.app.plots.shown[1].chart.data.slice(1).map((line) => '
-                        'Math.max(...line.filter((value) => value != null).map(Math.abs)))')
+                          'Math.max(...line.filter((value) => value != null).map(Math.abs)))')
     assert lines == pytest.approx([2.5, 2.5], rel=1e-3)
 
 
@@ -134,4 +148,25 @@ def test_no_width_scrolls_sideways(open_page, served, width):
 def test_no_serious_finding_on_accessibility_of_a_recorded_run(open_page, served, axe, scheme):
     page = open_page(served, color_scheme=scheme)
     page.until('dzRos.app.stores[0]?.count === 4001')
+    assert axe(page) == []
+
+
+@pytest.mark.parametrize('scheme', ['light', 'dark'])
+def test_a_report_on_a_phone_cuts_nothing_off_and_follows_the_theme(
+        open_page, recorded, axe, tmp_path, scheme):
+    path = write_report(recorded[2], tmp_path / 'report')
+    page = open_page(path.as_uri(), color_scheme=scheme, viewport={'width': 400, 'height': 800})
+    for summary in page.locator('summary').all():
+        summary.click()
+    assert page.evaluate('document.documentElement.scrollWidth') <= 400
+    assert page.evaluate(BEYOND) == []
+    assert page.evaluate(TEXT_WIDER_THAN_ITS_BOX) == []
+    image = page.locator('#tracking img')
+    inverted = image.evaluate('(item) => getComputedStyle(item).filter')
+    assert ('invert' in inverted) == (scheme == 'dark')
+    image.click()       # enlarged, and it scrolls inside its frame
+    assert image.evaluate('(item) => item.clientWidth') > 1000
+    assert page.evaluate('document.documentElement.scrollWidth') <= 400
+    image.click()
+    assert page.evaluate(BEYOND) == []
     assert axe(page) == []

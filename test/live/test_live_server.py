@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The page's server: what a viewer gets, who may look, who may act."""
 
 import asyncio
@@ -33,7 +34,7 @@ def test_a_viewer_is_introduced_and_gets_every_row(with_page):
             assert kind == LIVE
             got += rows[:, 0].tolist()
         assert got == list(range(200, 350))
-        page.server.say({'kind': 'event', 'n': 1})
+        page.server.broadcast({'kind': 'event', 'n': 1})
         assert (await with_page.texts(ws, 'event'))['n'] == 1
         await ws.close()
 
@@ -49,7 +50,7 @@ def test_actions_are_passed_on_and_answered(with_page):
         answer = await page.ask(ws, 'set', 4, values={'controller.k_d': 1.0})
         assert answer['ok']
         assert page.source.acted[0]['values'] == {'controller.k_d': 1.0}
-        refused = await page.ask(ws, 'kick', 5)
+        refused = await page.ask(ws, 'disturbance_pulse', 5)
         assert not refused['ok']
         assert 'must be gentle' in refused['message']
 
@@ -94,7 +95,7 @@ def test_what_was_asked_for_long_ago_is_not_done(with_page, asked):
         await ws.send_json({'do': 'reset', 'id': 1, **given})
         answer = await with_page.texts(ws, 'result')
         assert not answer['ok']
-        assert 'not done: it' in answer['message']
+        assert 'not done: ' in answer['message']
         assert page.source.acted == []
         await ws.send_json({'do': 'estop', 'id': 2, **given})       # never too old
         assert (await with_page.texts(ws, 'result'))['ok']
@@ -108,7 +109,7 @@ def test_without_the_token_one_may_look_and_not_act(with_page, token):
         ws = await page.viewer(token=token)
         hello = await with_page.texts(ws, 'hello')
         assert not hello['may_act']
-        for what in ('estop', 'reset', 'activate', 'deactivate', 'set', 'kick'):
+        for what in ('estop', 'reset', 'activate', 'deactivate', 'set', 'disturbance_pulse'):
             answer = await page.ask(ws, what)
             assert not answer['ok']
             assert 'token' in answer['message']

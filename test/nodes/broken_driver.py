@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The example's driver node with one flaw, named on the command line; run by tests alone."""
 
 from __future__ import annotations

@@ -1,105 +1,187 @@
-"""Behaves as ros2_control's controllers are documented to, with a joint behind them.
+# SPDX-License-Identifier: Apache-2.0
+"""Behaves as ros2_control 4.46 is documented to, with a joint behind it.
 
-controller_manager with joint_state_broadcaster and one forward_command_controller or
-effort_controllers/JointGroupEffortController, of one joint: `~/commands` of another size than the
-joints are not taken; a command is held for ever; an inactive controller takes none, and forgets
-what came before it was activated; the effort controller writes 0 when it is deactivated. What the
-test wants is said on the topic `do`, one word: activate, deactivate, silence, speak, nan, number,
-rename, name, freeze, run, positions, all.
+controller_manager, joint_state_broadcaster, one forward_command_controller ('forward') or
+effort_controllers/JointGroupEffortController ('effort'), each a node of its own name:
+
+- `~/commands` that are not finite are dropped; one whose length is not the number of joints
+  deactivates the controller at the next cycle; a command is held for ever; an inactive controller
+  takes none, and forgets what came before it was activated; the effort controller writes 0 when it
+  is deactivated, the other leaves the last command in the interface;
+- `~/get_parameters` tells `joints` and `interface_name`, `~/transition_event` each change;
+- the broadcaster's message has position, velocity and effort of every joint, NaN where the
+  hardware has no such interface, in an order of its own, stamped with the time of the cycle.
+
+Usage: CONFIG KIND [KEY=VALUE ...], with rate (of the manager [Hz]), joints (of the controller,
+separated by commas), interface, active (1 from the start), delay (of the joint states after their
+stamp [s]), log (file of lines "instant position", written at the end). What the test wants is said
+on the topic `do`, one word: activate, deactivate, silence, speak, nan, number, rename, name,
+freeze, run, positions, all, blind, seeing (velocity NaN or not), stuck, moving (values frozen,
+stamps running), another (a joint_state_publisher that says 0 begins), home (the joint is brought
+back to 0, at rest, as by a person). What the hardware holds is
+on `interface`: [active, command, position, instant [s of the steady clock]].
 """
 
+from collections import deque
 import contextlib
+import itertools
 import json
 import math
+from pathlib import Path
 import sys
 import time
 
+from lifecycle_msgs.msg import State, TransitionEvent
 import rclpy
-from rclpy.executors import ExternalShutdownException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from dz_ros.drivers.simulated import SimulatedActuator, SimulatedParameters
-from dz_ros.files import load_configuration
+from dz_ros.files.configurations import load_configuration
 
 CONFIG, KIND = sys.argv[1], sys.argv[2]
-RATE = 500.0
-OTHER = 'shoulder'
+OPTIONS = {'rate': '500', 'joints': '', 'interface': 'effort', 'delay': '0',
+           'log': '', 'active': '0',
+           **dict(word.split('=', 1) for word in sys.argv[3:])}
+OTHERS = ('shoulder', 'wrist')
+OPPOSITE = {'speak': 'silence', 'number': 'nan', 'name': 'rename', 'run': 'freeze',
+            'all': 'positions', 'seeing': 'blind', 'moving': 'stuck'}
+
+
+class Controller:
+    """The controller that forwards commands."""
+
+    def __init__(self, joint):
+        self.node = rclpy.create_node('effort_controller')
+        self.joints = OPTIONS['joints'].split(',') if OPTIONS['joints'] else [joint]
+        self.node.declare_parameter('joints', self.joints)
+        self.node.declare_parameter('interface_name', OPTIONS['interface'])
+        self.active = OPTIONS['active'] == '1'
+        self.interface = 0.0        # what the hardware holds
+        self._buffer = None
+        self._events = self.node.create_publisher(TransitionEvent, '~/transition_event', 10)
+        self.node.create_subscription(Float64MultiArray, '~/commands', self.command, 10)
+
+    def command(self, message):
+        if all(map(math.isfinite, message.data)):
+            self._buffer = list(message.data)
+
+    def change(self, active):
+        states = [State(id=State.PRIMARY_STATE_INACTIVE, label='inactive'),
+                  State(id=State.TRANSITION_STATE_ACTIVATING, label='activating'),
+                  State(id=State.PRIMARY_STATE_ACTIVE, label='active')]
+        if not active:
+            states.reverse()
+            states[1] = State(id=State.TRANSITION_STATE_DEACTIVATING, label='deactivating')
+        for start, goal in itertools.pairwise(states):
+            self._events.publish(TransitionEvent(start_state=start, goal_state=goal))
+        self.active, self._buffer = active, None
+        if not active and KIND == 'effort':
+            self.interface = 0.0
+
+    def update(self):
+        if not self.active or self._buffer is None:
+            return
+        if len(self._buffer) != len(self.joints):
+            self.change(active=False)
+        else:
+            self.interface = self._buffer[0]
 
 
 class Robot:
-    """Joint, controllers and broadcaster."""
+    """Manager, controller, broadcaster, and the joint behind them."""
 
-    def __init__(self, node):
+    def __init__(self, executor):
         configuration = load_configuration(CONFIG)
-        self._node = node
         self._joint = configuration.driver_parameters.joint
         self._plant = SimulatedActuator(SimulatedParameters(), configuration)
         self._start = None
-        self._active = False
-        self._buffer = None
-        self._interface = 0.0       # what the hardware holds
         self._words = set()
+        self._late = deque()
+        self._stuck = None
         self._stamp = None
-        self._states = node.create_publisher(JointState, '/joint_states', 10)
-        self._told = node.create_publisher(String, '/stand_in/interface', 10)
-        node.create_subscription(Float64MultiArray, '/effort_controller/commands', self.command,
-                                 10)
-        node.create_subscription(String, '/stand_in/do', self.do, 10)
-        node.create_timer(1.0 / RATE, self.update)
-
-    def command(self, message):
-        if len(message.data) == 1:
-            self._buffer = message.data[0]
+        self.rows = []
+        manager = rclpy.create_node('controller_manager')
+        self._controller = Controller(self._joint)
+        broadcaster = rclpy.create_node('joint_state_broadcaster')
+        self._another = rclpy.create_node('joint_state_publisher')
+        for node in (manager, self._controller.node, broadcaster, self._another):
+            executor.add_node(node)
+        self._clock = manager.get_clock()
+        self._states = broadcaster.create_publisher(JointState, '/joint_states', 10)
+        self._told = manager.create_publisher(String, '/stand_in/interface', 10)
+        manager.create_subscription(String, '/stand_in/do', self.do, 10)
+        manager.create_timer(1.0 / float(OPTIONS['rate']), self.update)
 
     def do(self, message):
         word = message.data
-        if word == 'activate':
-            self._active, self._buffer = True, None
-        elif word == 'deactivate':
-            self._active = False
-            if KIND == 'effort':
-                self._interface = 0.0
+        if word in ('activate', 'deactivate'):
+            self._controller.change(word == 'activate')
+        elif word == 'home':
+            self._plant.x = [0.0] * len(self._plant.x)
+        elif word == 'another':
+            states = self._another.create_publisher(JointState, '/joint_states', 10)
+            self._another.create_timer(0.1, lambda: states.publish(self.stamped(
+                JointState(name=[self._joint], position=[0.0]))))
         else:
-            opposite = {'speak': 'silence', 'number': 'nan', 'name': 'rename', 'run': 'freeze',
-                        'all': 'positions'}.get(word)
+            opposite = OPPOSITE.get(word)
             self._words = self._words - {opposite} if opposite else self._words | {word}
+
+    def stamped(self, message):
+        message.header.stamp = self._clock.now().to_msg()
+        return message
 
     def update(self):
         now = time.monotonic()
-        if self._active and self._buffer is not None:
-            self._interface = self._buffer
-        if self._start is None and self._interface != 0.0:
+        if self._start is None and self._controller.interface != 0.0:
             self._start = now       # nothing moves before the first command
         if self._start is not None:
             self._plant.advance(now - self._start, 0)
-            self._plant.command(self._interface, now - self._start)
-        self._told.publish(String(data=json.dumps([self._active, self._interface])))
-        if 'silence' not in self._words:
-            self.broadcast()
-
-    def broadcast(self):
         x, speed = self._plant.measure()
+        if OPTIONS['log']:
+            self.rows.append((now, x))
+        if 'silence' not in self._words:
+            self._late.append((now, self.message(x, speed)))
+        while self._late and self._late[0][0] <= now - float(OPTIONS['delay']):
+            self._states.publish(self._late.popleft()[1])
+        self._controller.update()
+        if self._start is not None:
+            self._plant.command(self._controller.interface, now - self._start)
+        self._told.publish(String(data=json.dumps(
+            [self._controller.active, self._controller.interface, x, now])))
+
+    def message(self, x, speed):
+        if 'stuck' in self._words:
+            x, speed = self._stuck = self._stuck or (x, speed)
+        else:
+            self._stuck = None
         if 'nan' in self._words:
             x = math.nan
-        if self._stamp is None or 'freeze' not in self._words:
-            self._stamp = self._node.get_clock().now().to_msg()
-        message = JointState(name=[OTHER, 'elbow' if 'rename' in self._words else self._joint],
-                             position=[9.0, x])
-        message.header.stamp = self._stamp
+        if 'blind' in self._words:
+            speed = math.nan
+        message = JointState(
+            name=[OTHERS[0], 'elbow' if 'rename' in self._words else self._joint, OTHERS[1]],
+            position=[9.0, x, 7.0], effort=[math.nan] * 3)
         if 'positions' not in self._words:
-            message.velocity = [8.0, speed]
-        self._states.publish(message)
+            message.velocity = [8.0, speed, math.nan]
+        if self._stamp is None or 'freeze' not in self._words:
+            self._stamp = self._clock.now().to_msg()
+        message.header.stamp = self._stamp
+        return message
 
 
 def main():
     rclpy.init()
-    node = rclpy.create_node('controller_manager')
-    Robot(node)
+    executor = SingleThreadedExecutor()
+    robot = Robot(executor)
     sys.stdout.write('controllers are loaded\n')
     sys.stdout.flush()
     with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
-        rclpy.spin(node)
+        executor.spin()
+    if OPTIONS['log']:
+        Path(OPTIONS['log']).write_text(
+            ''.join(f'{instant!r} {x!r}\n' for instant, x in robot.rows), encoding='utf-8')
 
 
 if __name__ == '__main__':

@@ -1,9 +1,12 @@
+# SPDX-License-Identifier: Apache-2.0
 """Gains changed in a live loop are in its recording, and the audit follows them bit for bit."""
+
+from dataclasses import replace
 
 import pytest
 
-from dz_ros.analysis.audit import audit
 from dz_ros.recording.reader import read_run
+from dz_ros.replay.audit.audit import audit
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
@@ -50,3 +53,27 @@ def test_live_gain_changes_are_followed_by_the_audit(processes, tmp_path):
     result = audit(read_run(tmp_path / 'run'))
     assert result.passed, result
     assert len(result.spans) >= 3      # one more wherever the loop had to take over again
+
+
+def test_samples_without_a_measurement_are_no_missing_messages(processes, tmp_path):
+    script = '["100-101 none", "150 none", "200-260 none"]'
+    run = processes('-m', 'dz_ros', 'run', 'servo', '--duration', '2', '--set', 'driver.name=mock',
+                    '--set', f'driver.script={script}', '--set', 'safety.state_hold=200',
+                    '--set', 'safety.error_limit=0', '--set', 'safety.echo_limit=200',
+                    '--record', tmp_path / 'run')
+    assert run.wait() == 0, run.output
+    data = read_run(tmp_path / 'run')
+    seq = data.channels['state']['seq'].astype(int).tolist()
+    absent = sorted(set(range(seq[-1] + 1)) - set(seq))
+    assert absent == [100, 101, 150, *range(200, 261)]
+    result = audit(data)
+    assert result.passed, result
+    assert ('state: the device had no measurement for 64 sample(s), which have no state: seq '
+            '100 … 101, 150, 200 … 260') in result.notes
+    # What is lost besides is still missing.
+    states = data.channels['state']
+    keep = states['seq'] != 120
+    cut = replace(states, values=states.values[keep], log_time=states.log_time[keep],
+                  publish_time=states.publish_time[keep])
+    found = audit(replace(data, channels={**data.channels, 'state': cut}))
+    assert 'state: 1 message(s) missing: seq 120' in found.findings

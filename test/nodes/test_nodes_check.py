@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The kit through topics: the example's node passes, one broken node for each check fails it."""
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ DZ = ('-m', 'dz_ros', 'driver', 'check')
 NAMES = ['order and labels', 'seq', 'stamps', 'echo', 'rate', 'latency', 'bad messages refused',
          'saturation', 'stale command', 'commander restarts', 'e-stop', 'reset',
          'disconnect and reconnect']
-TIME_OUT = 120.0
-LATE = {'rate', 'latency', 'answers at once', 'measurement', 'no trouble', 'echo', 'seq'}
+TIME_OUT = 180.0
+LATE = {'rate', 'latency', 'answers at once', 'measurement', 'no fault', 'echo', 'seq'}
 """Checks that a busy machine may fail."""
 
 
@@ -119,7 +120,7 @@ class Locked(SimulatedActuator):
 
 
 def test_a_driver_that_does_not_come_back_after_it_was_killed_fails_that_check(processes,
-                                                                             tmp_path):
+                                                                               tmp_path):
     (tmp_path / 'locked.py').write_text(LOCKED, encoding='utf-8')
     kit = processes(*DZ, 'locked:Locked', '--yes', '--json', PYTHONPATH=os.pathsep.join(
         [str(ROOT), str(tmp_path)]))
@@ -162,7 +163,7 @@ def test_nobody_there_is_one_line(processes):
     ((), 'give either a driver or --topics'),
     (('mock', '--topics'), 'give either'),
     (('no_such',), 'no such driver'),
-    (('--topics',), 'give --yes where nobody can be asked'),
+    (('--topics',), 'give --yes without a terminal'),
     (('mock', '--amplitude', '-1'), '--amplitude'),
     (('mock', '--amplitude', '9', '--set', 'driver.limit=5'), 'from 0 to 5'),
     (('mock', '--set', 'driver.script=[sometimes]'), 'driver.script'),
@@ -172,5 +173,3 @@ def test_what_cannot_be_asked_is_one_line(processes, given, message):
     assert kit.wait(TIME_OUT) == 2
     assert message in kit.output
     assert kit.output.count('\n') == 0
-
-

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The loop through a servo drive on a CAN bus: simulated drive, host and law as processes."""
 
 import signal
@@ -8,7 +9,7 @@ import pytest
 from dz_ros.core.records import Status, Terms
 from dz_ros.drivers.cia402.emulator import FAULTS
 from dz_ros.drivers.cia402.states import DriveState, state_of
-from dz_ros.files import load_configuration
+from dz_ros.files.configurations import load_configuration
 from dz_ros.recording.reader import read_run
 
 pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
@@ -20,9 +21,9 @@ DZ = ('-m', 'dz_ros')
 GROUP = '239.74.163.2'
 # Holds long enough for a machine that is busy with other tests; what is tested is what happens,
 # not when.
-PATIENT = ('safety.state_hold=100', 'safety.command_hold=100', 'safety.echo_limit=300',
-           'safety.reference_hold=300', 'safety.fault_after=5000', 'driver.heartbeat_hold=2.0',
-           'driver.command_hold=2.0', 'driver.answer_limit=1.0')
+PATIENT = ('safety.error_limit=0.0', 'safety.state_hold=100', 'safety.command_hold=100',
+           'safety.echo_limit=300', 'safety.reference_hold=300', 'safety.fault_after=5000',
+           'driver.heartbeat_hold=2.0', 'driver.command_hold=2.0', 'driver.answer_limit=1.0')
 OUTSIDE, STATUS = Terms.labels(()).index('s_eps'), Terms.labels(()).index('status')
 NEAR = 0.1
 """Tracking: s is at most so far outside the layer [rad/s], 20 mrad of angle."""
@@ -51,6 +52,18 @@ class Bus:
             data = bytes((0x23 | (4 - size) << 2,)) + index.to_bytes(2, 'little') + b'\0'
             self.bus.send(can.Message(arbitration_id=0x601, is_extended_id=False,
                                       data=data + number.to_bytes(4, 'little')))
+
+    def nmt(self, command):
+        """Have another master send an NMT command to every node."""
+        self.bus.send(can.Message(arbitration_id=0, is_extended_id=False,
+                                  data=bytes((command, 0))))
+
+    def wait_for_boot(self):
+        """Wait for the drive's boot-up message."""
+        message = None
+        while message is None or (message.arbitration_id, bytes(message.data)) != (0x701, b'\0'):
+            message = self.bus.recv(60.0)
+            assert message is not None, 'nothing on the bus any more'
 
     def states(self, cycles):
         """Return the states the drive says in so many cycles from now on."""
@@ -113,6 +126,7 @@ def test_the_adaptive_loop_tracks_through_the_drive(processes, drive, settings, 
     assert 'commands, after the SYNC before them' in drive.output
 
 
+LEFT = 'the drive has left NMT state operational: '
 CASES = (
     # fault, value, duration [s], reason of the fault, states of the drive meanwhile
     ('emcy', 0x3210, 0.0, 'EMCY 3210h (Voltage), error register 01h',
@@ -121,10 +135,21 @@ CASES = (
     ('torque-off', 0, 0.0, 'the drive has left operation enabled by itself',
      {DriveState.DISABLED}),
     ('restart', 0, 0.0, 'the drive has restarted', set()),
-    ('bus-off', 0, 6.0, 'no measurement for', set()))
+    ('bus-off', 0, 6.0, 'no measurement for', set()),
+    ('pre-operational', 0, 0.0, LEFT + 'pre-operational; it takes no commands, the safe one '
+     'included', set()),
+    ('stopped', 0, 0.0, LEFT + 'stopped; it takes no commands, the safe one included', set()),
+    ('mode', 8, 0.0, 'the drive is in another mode: modes of operation display (6061h) = 8, not '
+     '10', {DriveState.QUICK_STOP}),
+    ('frozen', 0, 4.0, 'the drive repeats one answer', set()),
+    ('short', 0, 4.0, 'TPDO 1 has 6 bytes, not 7', set()))
+MASTER = ((0x02, 'stopped'), (0x80, 'pre-operational'), (0x81, 'boot-up'))
+"""NMT commands of another master, and where they lead."""
 
 
-def test_faults_are_latched_and_left_by_reset(processes, drive, bus, operator, settings):
+@pytest.fixture
+def tracking(processes, drive, operator, settings):
+    """Start a loop; return a function that resets it after a fault and waits until it tracks."""
     processes(*DZ, 'run', 'cia402', *settings, '--set', 'loop.duration=0.0', '--quiet')
 
     def tracks():
@@ -134,21 +159,47 @@ def test_faults_are_latched_and_left_by_reset(processes, drive, bus, operator, s
                 for data in last]
         return len(last) == 100 and sum(near) > 70
 
+    def running():
+        """Whether both ends run; what is in fault, again perhaps, is reset, the drive first."""
+        for name in ('actuator_node', 'controller_node'):
+            if (operator.modes()[name][0] == 'fault'
+                    and not operator.call(f'{name}/reset').success):
+                return False
+        return all(operator.modes()[name][0] == 'running'
+                   for name in ('actuator_node', 'controller_node'))
+
+    def back():
+        operator.wait(running)
+        operator.heard['terms'].clear()
+        operator.wait(lambda: running() and tracks())   # what comes late may be a fault again
+
     operator.wait_for_mode(actuator_node='running', controller_node='running')
     operator.wait(tracks)
-    for fault, value, duration, reason, states in CASES:
+    return back
+
+
+@pytest.mark.parametrize('cases', [CASES[:5], CASES[5:]], ids=['devices', 'contradictions'])
+def test_faults_are_latched_and_left_by_reset(tracking, bus, operator, cases):
+    for fault, value, duration, reason, states in cases:
         bus.ask(fault, value, duration)
         operator.wait_for_mode(actuator_node='fault')
         assert operator.modes()['actuator_node'][1].startswith(reason), fault
         if states:
             operator.wait(lambda: DriveState.ENABLED not in bus.states(5))  # it has heard
             assert bus.states(50) <= states, fault
-        operator.wait(lambda: operator.call('actuator_node/reset').success)
-        if operator.modes()['controller_node'][0] == 'fault':
-            operator.wait(lambda: operator.call('controller_node/reset').success)
-        operator.wait_for_mode(actuator_node='running', controller_node='running')
-        operator.heard['terms'].clear()
-        operator.wait(tracks)
+        tracking()
+
+
+def test_another_master_is_a_fault_at_once(tracking, bus, operator):
+    for command, state in MASTER:
+        bus.nmt(command)
+        operator.wait_for_mode(actuator_node='fault')
+        assert operator.modes()['actuator_node'][1] == (
+            f'{LEFT}{state}, commanded by another master; it takes no commands, '
+            'the safe one included')
+        if command == 0x81:
+            bus.wait_for_boot()     # a reset before would be followed by another fault
+        tracking()
 
 
 def test_a_killed_drive_is_a_fault_and_a_new_one_is_driven(processes, drive, operator, settings):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The nodes in lockstep: who waits for whom, what is served meanwhile, on which cores."""
 
 import os
@@ -43,11 +44,19 @@ def test_a_node_that_is_gone_ends_the_run_with_its_name(loop):
 
 
 def test_a_trajectory_that_comes_back_goes_on_where_the_loop_is(loop, processes, operator):
+    assert operator.change('/plant_node', 4)    # nobody waits, however long a start takes
     killed = loop.pop('trajectory_node')
     killed.signal(signal.SIGKILL)
     killed.wait()
-    reached = operator.heard['state'][-1].data[0]
+
+    def starts():
+        return sum(event['node'] == '/trajectory_node' and event['event'] == 'configuration'
+                   for event in operator.events)
+
+    before, reached = starts(), operator.heard['state'][-1].data[0]
     loop['trajectory_node'] = processes(*NODE, 'trajectory_node', *ARGUMENTS)
+    operator.wait(lambda: starts() > before)
+    assert operator.change('/plant_node', 3)
     operator.wait(lambda: operator.heard['state'][-1].data[0] > reached + 500)
     used = [message.data for message in operator.heard['terms']]
     assert all(data[12] == data[13] for data in used)      # the reference of that very state

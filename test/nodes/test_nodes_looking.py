@@ -1,7 +1,9 @@
+# SPDX-License-Identifier: Apache-2.0
 """What the nodes that show a loop are given, and what Foxglove's passes on."""
 
 import asyncio
 import json
+import time
 
 import pytest
 
@@ -9,13 +11,13 @@ from dz_ros.recording.cdr import ArrayCodec
 from dz_ros.recording.channels import CHANNELS
 from dz_ros.recording.reader import read_run
 
-pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed: no page to serve')
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
 
 DZ = ('-m', 'dz_ros')
 NODE = ('-m', 'dz_ros.nodes.main')
-TIME_OUT = 120.0
+TIME_OUT = 180.0
 
 
 @pytest.mark.parametrize(('parameter', 'message'), [
@@ -30,10 +32,27 @@ def test_bad_parameters_are_one_line(processes, parameter, message):
 
 def test_foxglove_gets_the_very_bytes(processes, tmp_path):
     pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
+    from dz_ros.nodes.ros import topics
     process = processes(*DZ, 'run', 'servo', '--quiet', '--duration', '600', '--record',
                         tmp_path / 'run')
     server = processes(*NODE, 'foxglove_node', '--ros-args', '-p', 'foxglove_port:=0')
     address = server.wait_for_line('foxglove: ').split()[-1].replace('ws://', 'http://')
+
+    unusable = ArrayCodec(('seq', 'stamp', *(f'n{k}' for k in range(4000)))).encode([0.0] * 4002)
+    rclpy.init()
+    node = rclpy.create_node('of_others')
+    rival = node.create_publisher(topics.TYPES['terms'], 'terms', 10)
+    texts = node.create_publisher(topics.TYPES['events'], 'events', topics.offered('events'))
+    try:
+        deadline = time.monotonic() + TIME_OUT
+        while 'terms: more than' not in server.output or 'events: ' not in server.output:
+            assert time.monotonic() < deadline, server.output
+            rival.publish(unusable)
+            texts.publish(topics.TYPES['events'](data='[' * 1000))
+            time.sleep(0.1)
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
 
     async def look():
         found = {}

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The loop as real processes over real DDS: started, recorded, interrupted, killed, refused."""
 
 import os
@@ -11,8 +12,8 @@ import pytest
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws import LAWS
-from dz_ros.core.loop import simulate
-from dz_ros.files import load_configuration
+from dz_ros.core.loop.offline import simulate
+from dz_ros.files.configurations import load_configuration
 from dz_ros.recording.reader import read_run
 
 pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
@@ -21,21 +22,6 @@ pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
 DZ = ('-m', 'dz_ros')
 NODE = ('-m', 'dz_ros.nodes.main')
 CONFIG = Path(__file__).parents[2] / 'config'
-
-
-def children(run, count):
-    """Node → process id, once so many of them have been started."""
-    deadline = time.monotonic() + 60.0
-    while True:
-        found = {}
-        for child in Path(f'/proc/{run.pid}/task/{run.pid}/children').read_text().split():
-            words = Path(f'/proc/{child}/cmdline').read_text().split('\0')
-            if 'dz_ros.nodes.main' in words:
-                found[words[words.index('dz_ros.nodes.main') + 1]] = int(child)
-        if len(found) >= count:
-            return found
-        assert time.monotonic() < deadline, f'only {found} started'
-        time.sleep(0.01)
 
 
 def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
@@ -75,6 +61,12 @@ def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
     *(('wang2004', f'controller.law={law}', 'controller.override_checks=true')
       for law in LAWS.builtin),
     ('wang2004', 'loop.delay=2', 'plant.noise=[0.001, 0.01]', 'loop.seed=7'),
+    ('thruster', 'loop.schedule_times=[0.5, 1.5]', 'controller.law=scheduled',
+     'controller.table_points=[14.0, 20.0]', 'controller.m_r_known=[0.86, 1.24]',
+     'controller.m_l_known=[0.67, 0.93]', 'controller.b_r_known=[36.0, 28.0]',
+     'controller.b_l_known=[-36.0, -28.0]', 'controller.psi_0=20.0'),
+    ('servo', 'plant.static_friction=1.5', 'plant.backlash=0.1', 'loop.delay=1',
+     'controller.error_band=0.001', 'controller.regressors_at=reference'),
     ('zhang_feng1997',), ('first_order',), ('servo',), ('pendulum',), ('valve_actuator',),
     ('step',)], ids=lambda words: ' '.join(words))
 def test_lockstep_equals_the_offline_loop_bit_for_bit(processes, tmp_path, overrides):
@@ -124,7 +116,7 @@ def test_ctrl_c_ends_everything_in_order_without_a_traceback(processes, tmp_path
 
 
 @pytest.mark.parametrize('line', ['', 'ready'])
-def test_ctrl_c_while_the_nodes_are_starting_is_as_orderly(processes, tmp_path, line):
+def test_ctrl_c_while_the_nodes_are_starting_is_as_orderly(processes, children, tmp_path, line):
     run = processes(*DZ, 'run', '--duration', '600', '--record', tmp_path / 'run')
     nodes = children(run, 1 if line == '' else 4)
     run.signal(signal.SIGINT)
@@ -135,7 +127,7 @@ def test_ctrl_c_while_the_nodes_are_starting_is_as_orderly(processes, tmp_path, 
 
 
 @pytest.mark.parametrize('number', [signal.SIGKILL, signal.SIGHUP])
-def test_no_node_outlives_dz_run(processes, tmp_path, number):
+def test_no_node_outlives_dz_run(processes, children, tmp_path, number):
     run = processes(*DZ, 'run', '--duration', '0', '--record', tmp_path / 'run')
     run.wait_for_line('v ')
     nodes = children(run, 4)
@@ -175,7 +167,7 @@ def test_a_second_loop_is_refused_and_the_first_goes_on(processes, tmp_path):
     assert first.interrupt() == 0, first.output
 
 
-def test_a_killed_node_is_named_and_the_recording_survives(processes, tmp_path):
+def test_a_killed_node_is_named_and_the_recording_survives(processes, children, tmp_path):
     run = processes(*DZ, 'run', '--duration', '600', '--record', tmp_path / 'run')
     run.wait_for_line('v ')
     os.kill(children(run, 4)['controller_node'], signal.SIGKILL)

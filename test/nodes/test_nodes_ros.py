@@ -1,13 +1,17 @@
+# SPDX-License-Identifier: Apache-2.0
 """The nodes as a ROS user meets them: parameters, names, remapping, messages, signals."""
 
 import json
+import math
 from pathlib import Path
 import signal
 import time
 
 import pytest
 
+from dz_ros.core.configuration import Configuration
 from dz_ros.core.records import Command, State, Terms
+from dz_ros.files.configurations import write_parameters
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
@@ -16,7 +20,7 @@ NODE = ('-m', 'dz_ros.nodes.main')
 CONFIG = Path(__file__).parents[2] / 'config' / 'wang2004.yaml'
 ARGUMENTS = ('--ros-args', '--params-file', CONFIG)
 NAMES = ('plant_node', 'controller_node', 'trajectory_node')
-TIME_OUT = 60.0
+TIME_OUT = 180.0
 
 
 class Listener:
@@ -100,7 +104,7 @@ def test_parameters_carry_description_unit_and_range(processes, listener):
                               DescribeParameters.Request(names=names)).descriptors
     by_name = {item.name: item for item in described}
     assert '[1/s]' in by_name['controller.lambda'].description
-    assert by_name['controller.lambda'].floating_point_range[0].from_value == 0.0
+    assert not by_name['controller.lambda'].floating_point_range    # it has no upper end
     assert by_name['controller.lambda'].additional_constraints == '> 0'
     assert by_name['loop.delay'].integer_range[0].to_value == 100
     request = GetParameters.Request(names=['controller.k_d', *names])
@@ -159,12 +163,71 @@ def test_messages_of_wrong_shape_are_counted_and_ignored(processes, listener):
     publisher = listener.node.create_publisher(Float64MultiArray, '/command', 10)
     listener.wait(lambda: listener.heard['/state'])
     publisher.publish(Float64MultiArray(data=[1.0]))
-    plant.wait_for_line('command: ')
+    plant.wait_for_line('command: without names, or not readable (1 so far)')
     before = len(listener.heard['/state'])
     listener.wait(lambda: len(listener.heard['/state']) > before + 1)
     assert listener.heard['/state'][-1].data[0] == 0.0
     assert plant.interrupt() == 0
     assert 'Traceback' not in plant.output
+
+
+def test_what_is_ignored_is_in_the_log_and_in_diagnostics_whatever_was_wrong(processes, listener):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from std_msgs.msg import Float64MultiArray
+    listener.listen('/state', Float64MultiArray)
+    listener.listen('/diagnostics', DiagnosticArray, 100)
+    plant = processes(*NODE, 'plant_node', '--ros-args', '-p', "loop.peers:=['plant_node']")
+    publisher = listener.node.create_publisher(Float64MultiArray, '/command', 100)
+    listener.wait(lambda: listener.heard['/state'])
+    labels = 'seq,stamp,v,echo_seq,echo_stamp,hold'
+    no_number = Float64MultiArray(data=[math.nan] * 6)
+    no_number.layout.dim = [rclpy_dimension(labels, 6)]
+    other = Float64MultiArray(data=[0.0])
+    other.layout.dim = [rclpy_dimension('sp\x1b[31med', 1)]
+    kinds = {'command: not finite': no_number, 'command: names of other numbers': other}
+
+    def counted(name):
+        return max((int(item.value) for message in listener.heard['/diagnostics']
+                    for status in message.status for item in status.values
+                    if item.key == f'ignored {name}'), default=0)
+
+    # One by one: the loop takes the newest command only, and says its state after each look.
+    while any(counted(name) < 10 for name in kinds):
+        for message in kinds.values():
+            heard = len(listener.heard['/state'])
+            publisher.publish(message)
+            listener.wait(lambda heard=heard: len(listener.heard['/state']) > heard)
+    for name in kinds:
+        plant.wait_for_line(f'{name} (10 so far)')
+    assert plant.interrupt() == 0
+    for name in kinds:      # the first, the tenth, none between
+        assert plant.output.count(f'{name} (') == 2, plant.output
+    assert '\x1b[31m' not in plant.output
+
+
+def test_a_node_states_all_it_runs_with_many_waypoints_included(processes, listener, tmp_path):
+    from rcl_interfaces.srv import SetParameters
+    from std_msgs.msg import String
+    c = Configuration.from_flat({
+        'trajectory.kind': 'waypoints', 'trajectory.times': [0.1 * k for k in range(3000)],
+        'trajectory.positions': [0.1 * (k % 5) for k in range(3000)]}, driven=False)
+    write_parameters(c, tmp_path / 'waypoints.yaml')
+    latched = rclpy.qos.QoSProfile(depth=20,
+                                   durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
+    listener.listen('/events', String, latched)
+    processes(*NODE, 'controller_node', '--ros-args', '--params-file', tmp_path / 'waypoints.yaml')
+
+    def stated():
+        found = [json.loads(message.data) for message in listener.heard['/events']]
+        return [item['configuration'] for item in found if item['event'] == 'configuration']
+
+    listener.wait(stated)
+    changed = SetParameters.Request(parameters=[
+        rclpy.parameter.Parameter('controller.lambda', value=1.1).to_parameter_msg()])
+    (result,) = listener.call('/controller_node/set_parameters', SetParameters, changed).results
+    assert result.successful, result.reason
+    listener.wait(lambda: len(stated()) == 2)
+    assert stated() == [c.to_flat(), c.replace(**{'controller.lambda': 1.1}).to_flat()]
 
 
 def rclpy_dimension(label, size):

@@ -1,10 +1,11 @@
+# SPDX-License-Identifier: Apache-2.0
 """The loop through a serial device, as processes: ours in Python and the firmware in C."""
 
 from pathlib import Path
 
 import pytest
 
-from dz_ros.files import load_configuration
+from dz_ros.files.configurations import load_configuration
 
 pytest.importorskip('serial', reason="pyserial is not installed: pip install 'dz_ros[serial]'")
 pytestmark = pytest.mark.ros
@@ -20,9 +21,13 @@ def loop(serial_device, processes, watcher):
 
     `wait=False`: at once; on a busy machine a fault of the device may come before all is heard.
     """
-    def start(*faults, silence='3.0', wait=True):
+    def start(*faults, silence='3.0', wait=True, **driver):
         started = serial_device(*faults)
-        own = ('-p', f'driver.silence:={silence}', '-p', f'driver.port:={serial_device.port}')
+        own = ('-p', f'driver.silence:={silence}', '-p', f'driver.port:={serial_device.port}',
+               *(word for key, value in driver.items()
+                 for word in ('-p', f'driver.{key}:={value}')),
+               # A reset comes here wherever the reference is.
+               '-p', 'safety.error_limit:=0.0')
         nodes = {name: processes(*NODE, name, '--ros-args', '--params-file', CONFIG,
                                  *watcher.patient, *own)
                  for name in ('actuator_node', 'controller_node', 'trajectory_node')}
@@ -50,17 +55,17 @@ def test_the_adaptive_loop_tracks_through_the_line(loop, watcher):
 
 @pytest.mark.parametrize(('fault', 'reason'), [
     ('unplug@3+1', 'the line has gone'),
-    ('mute@3+1', 'said nothing'),
-    ('freeze@3+1', 'said nothing'),
-    ('restart@3', 'started anew'),
+    ('mute@3+1', 'sent nothing'),
+    ('freeze@3+1', 'sent nothing'),
+    ('restart@3', 'has restarted'),
     ('trip@3+1', 'reports fault 7'),
 ])
-def test_a_device_in_trouble_is_a_fault_and_a_reset_goes_on(loop, watcher, fault, reason):
+def test_a_fault_of_the_device_is_latched_and_a_reset_goes_on(loop, watcher, fault, reason):
     device, nodes = loop(fault, silence='0.3', wait=False)
     watcher.wait_for_mode(actuator_node='fault')
     # Whichever of the limits is the first to see that nothing comes may say so.
     said = watcher.modes()['actuator_node'][1]
-    assert reason in said or 'no measurement for' in said or 'said nothing' in said
+    assert reason in said or 'no measurement for' in said or 'sent nothing' in said
     device.wait_for_line(f'{fault.partition("@")[0]} ends')
     watcher.wait(watcher.recovered)
     watcher.wait_for_mode(actuator_node='running', controller_node='running')
@@ -68,6 +73,39 @@ def test_a_device_in_trouble_is_a_fault_and_a_reset_goes_on(loop, watcher, fault
     # It moves: the law is at work on what the device measures.
     seen = len(watcher.states)
     watcher.wait(lambda: len({data[2] for data in watcher.states[seen:]}) > 20)
+    end(nodes)
+
+
+@pytest.mark.parametrize(('fault', 'reason'), [
+    ('deaf@3+3', 'the commands do not reach it'),
+    ('repeat@3+4', 'the device repeats its last state'),
+    ('unsent@3+1', 'which was not sent to it'),
+    ('mode@3+1', 'is in mode safe, asked for run'),
+])
+def test_a_device_that_lies_or_hears_nothing_gets_no_power_before_a_reset(loop, watcher, fault,
+                                                                          reason):
+    device, nodes = loop(fault, silence='1.0', wait=False, watchdog='0.1', fresh='20.0')
+    name = fault.partition('@')[0]
+    device.wait_for_line(f'{name} begins')
+    watcher.wait_for_mode(actuator_node='fault')
+    said = watcher.modes()['actuator_node'][1]
+    # On a busy machine a stall may be the first that is seen.
+    assert any(text in said for text in (reason, 'has tripped', 'no measurement', 'no command',
+                                         'sent nothing')), said
+    device.wait_for_line(f'{name} ends')
+    seen = len(watcher.states)
+    watcher.wait(lambda: len(watcher.states) > seen + 100)
+    lines = device.output.splitlines()
+    begun = next(at for at, line in enumerate(lines) if f'{name} begins' in line)
+    # Of what was on its way when the fault began a run may remain, nothing after it has ended.
+    assert lines[begun:].count('mode run') <= 1
+    assert lines[-1] != 'mode run'
+    # It stays where the fault has left it; one state repeated once drove it to -20 rad.
+    assert all(abs(data[2]) < 2.0 for data in watcher.states[seen:])
+    assert watcher.modes()['actuator_node'][0] == 'fault'
+    watcher.wait(watcher.recovered)
+    watcher.wait_for_mode(actuator_node='running', controller_node='running')
+    watcher.wait(lambda: device.output.splitlines()[-1] == 'mode run')
     end(nodes)
 
 

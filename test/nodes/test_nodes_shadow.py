@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The shadow controller over real DDS."""
 
 from dataclasses import replace
@@ -7,8 +8,8 @@ import numpy as np
 import pytest
 
 from dz_ros.recording.reader import read_run
+from dz_ros.recording.run_source import open_source
 from dz_ros.recording.save import save_run
-from dz_ros.recording.source import open_source
 
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
@@ -18,8 +19,8 @@ DZ = ('-m', 'dz_ros', 'bag', 'replay')
 
 @pytest.mark.parametrize('law', ['wang2004', 'pd'])
 def test_a_live_controller_of_the_same_build_answers_alike(processes, tmp_path, law):
-    recorded = processes('-m', 'dz_ros', 'run', '--lockstep', '--duration', '2', '--quiet',
-                         '--set', f'controller.law={law}', '--record', tmp_path / 'run')
+    recorded = processes('-m', 'dz_ros', 'run', 'robust', '--lockstep', '--duration', '2',
+                         '--quiet', '--set', f'controller.law={law}', '--record', tmp_path / 'run')
     assert recorded.wait() == 0, recorded.output
     shadow = processes(*DZ, tmp_path / 'run', '--into', 'controller', '--record',
                        tmp_path / 'live')

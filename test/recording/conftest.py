@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Runs to read and break."""
 
 from __future__ import annotations
@@ -7,15 +8,11 @@ import itertools
 import math
 from pathlib import Path
 
-from hypothesis import settings
 import numpy as np
 import pytest
 
 from dz_ros.core.dataset import Channel, RunData
 from dz_ros.core.records import Command, Reference, State, Terms, Truth
-
-settings.register_profile('recording', deadline=None)     # no verdict hangs on time
-settings.load_profile('recording')
 
 START = 1_700_000_000_000_000_000
 PERIOD = 5_000_000

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Log times of messages stamped by a wall clock that is stepped while they wait to be taken."""
 
 from hypothesis import given

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Files that were cut off or altered: a clear error or a recovered run, never a wrong number."""
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from dz_ros.recording.save import save_run
 from dz_ros.recording.writer import RunWriter
 
 MANY = settings(suppress_health_check=[HealthCheck.function_scoped_fixture],
-                max_examples=60)
+                max_examples=6 * settings.default.max_examples // 10)
 
 
 class Whole:
@@ -108,6 +109,7 @@ def test_cut_anywhere(whole, place, data):
     assert run_info(target).complete
 
 
+@pytest.mark.slow
 @MANY
 @given(st.data())
 def test_flipped_bits_in_a_whole_file(whole, place, data):

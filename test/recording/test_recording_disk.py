@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A disk that is full, in a process of its own."""
 
 from __future__ import annotations
@@ -16,11 +17,12 @@ from pathlib import Path
 from dz_ros.errors import RecordingError
 from dz_ros.recording.cdr import ArrayCodec
 from dz_ros.recording.writer import RunWriter
-from dz_ros.recording.queued import QueuedWriter
+from dz_ros.recording.writer_thread import QueuedWriter
 
 codec = ArrayCodec(('seq', 'stamp', 'x0'))
 kind = 'std_msgs/msg/Float64MultiArray'
-resource.setrlimit(resource.RLIMIT_FSIZE, (120_000, 120_000))
+unlimited = resource.RLIM_INFINITY
+resource.setrlimit(resource.RLIMIT_FSIZE, (120_000, unlimited))
 writer = RunWriter(Path(sys.argv[1]), {'mode': 'offline'}, {})
 writer.add_topic('/state', kind)
 count = 50_000
@@ -44,6 +46,7 @@ else:
     print('refused', queued.error)
     print('counts', summary.messages, summary.lost, summary.messages + summary.lost)
     print('summary', summary.complete)
+resource.setrlimit(resource.RLIMIT_FSIZE, (unlimited, unlimited))   # coverage writes its own
 """
 
 

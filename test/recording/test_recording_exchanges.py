@@ -1,20 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
 """The samples a controller answered, read back from runs in and out of order."""
 
 import numpy as np
 import pytest
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.controller import Controller
 from dz_ros.core.dataset import from_run
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop.controller import Controller
+from dz_ros.core.loop.offline import simulate
 from dz_ros.core.records import Reference, State, Status, Terms
 from dz_ros.errors import RecordingError
 from dz_ros.recording.cdr import ArrayCodec
 from dz_ros.recording.channels import ARRAY
 from dz_ros.recording.exchanges import Exchanges, WINDOW
-from dz_ros.recording.mcap_file import Message, Topic
+from dz_ros.recording.messages import Message, Topic
+from dz_ros.recording.run_source import open_source
 from dz_ros.recording.save import save_run
-from dz_ros.recording.source import open_source
 
 T = 0.005
 TERMS = ('seq', 'stamp', 'reference_seq', 'echo_seq')
@@ -29,6 +30,9 @@ class Run:
         self.topics = {place + name: Topic(place + name, ARRAY.name) for name in topics}
         self.place = place
         self.messages = []
+
+    def recorded_topics(self):
+        return self.topics
 
     def add(self, topic, labels, *numbers):
         self.messages.append(Message(self.place + topic, ArrayCodec(labels).encode(numbers), 0, 0))

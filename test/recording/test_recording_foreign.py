@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Bags of other libraries: the same numbers, and a clear word where they are broken."""
 
 from __future__ import annotations
@@ -78,7 +79,8 @@ def test_a_bare_database(foreign, make_run, same):
             read_run(bad)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture],
+          max_examples=6 * settings.default.max_examples // 10)
 @given(data=st.data())
 def test_a_broken_database_is_named_or_read_whole(foreign, make_run, place, data):
     """Pages of a database carry no checksum: lost order is found, an altered digit is not."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Replay without ROS, on a clock of the test's own: what is due when, in which order."""
 
 from hypothesis import given
@@ -7,9 +8,10 @@ import pytest
 from dz_ros.errors import ConfigurationError, RecordingError
 from dz_ros.recording.cdr import encode_string
 from dz_ros.recording.channels import TEXT
-from dz_ros.recording.mcap_file import McapFile, Message
+from dz_ros.recording.mcap_file import McapFile
+from dz_ros.recording.messages import Message
 from dz_ros.recording.player import Player, READ_AHEAD
-from dz_ros.recording.source import open_source
+from dz_ros.recording.run_source import open_source
 from dz_ros.recording.writer import RunWriter
 
 FIRST = 1_700_000_000_000_000_000
@@ -268,7 +270,7 @@ def test_seeking_in_a_file_skips_what_it_need_not_read(tmp_path, offset, monkeyp
         found = []
         while player.low:
             player.read_ahead()
-        while player._queue:
+        while player.due_ns is not None:
             clock.now = player.due_ns
             found.append(player.take())
             while player.low:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
 import json
@@ -94,7 +95,8 @@ def two_loops(path):
             writer.add_topic(f'{place}/events', TEXT.name)
             for k in range(3):
                 writer.write(f'{place}/state', STATE.encode([k, 0, number]), k, k)
-            writer.write(f'{place}/events', encode_string(f'{{"node": "{place}"}}'), 9, 9)
+            writer.write(f'{place}/events', encode_string(
+                f'{{"event": "started", "node": "{place}"}}'), 9, 9)
 
 
 def test_namespaces(tmp_path):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
 import json
@@ -19,7 +20,7 @@ ARRAY, TEXT = TYPES
 START = 1_700_000_000_000_000_000
 STATE = ArrayCodec(('seq', 'stamp', 'x0'))
 SLOW = settings(suppress_health_check=[HealthCheck.function_scoped_fixture],
-                max_examples=25)
+                max_examples=settings.default.max_examples // 4)
 
 
 def write(directory: Path, messages, **options):

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Deadlines, claims and process set-up, with a clock that the test moves."""
 
 import gc
@@ -9,7 +10,7 @@ import pytest
 
 from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
 from dz_ros.runtime.deadlines import Deadlines
-from dz_ros.runtime.process import settle
+from dz_ros.runtime.process import settle, SWITCH_INTERVAL
 
 
 class Clock:
@@ -80,11 +81,14 @@ def test_a_domain_that_does_not_exist_is_named(monkeypatch, given):
         domain_topic('/state')
 
 
-def test_settling_keeps_the_collector_out():
+def test_settling_keeps_the_collector_and_other_threads_out():
+    interval = sys.getswitchinterval()
     try:
         settle()
         assert not gc.isenabled()
         assert gc.get_freeze_count() > 0
+        assert sys.getswitchinterval() == pytest.approx(SWITCH_INTERVAL)
     finally:
+        sys.setswitchinterval(interval)
         gc.unfreeze()
         gc.enable()

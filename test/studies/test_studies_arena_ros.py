@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Chosen runs of the comparison through ROS nodes equal the loop off line, bit for bit."""
 
 import numpy as np
@@ -6,7 +7,7 @@ import pytest
 from dz_ros.cli.arena_ros import difference
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import Channel, from_run, RunData
-from dz_ros.core.loop import simulate
+from dz_ros.core.loop.offline import simulate
 
 
 def changed(data, name, label, place, value):
@@ -42,9 +43,9 @@ def test_what_is_missing_is_found(offline):
 
 @pytest.mark.ros
 @pytest.mark.usefixtures('ros_domain')
-def test_a_kick_through_ros_is_the_kick_off_line(processes):
+def test_a_pulse_through_ros_is_the_pulse_off_line(processes):
     pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
     run = processes('-m', 'dz_ros', 'arena', '--ros', '--laws', 'fuzzy', '--scenarios',
-                    'kick;delay 2', '--duration', '2')
+                    'disturbance pulse;delay 2', '--duration', '2')
     assert run.wait(120) == 0, run.output
     assert run.output.count('equal, bit for bit') == 2

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Tasks of a study on processes and on a cluster: few in flight, none lost."""
 
 import os
@@ -17,6 +18,7 @@ from dz_ros.studies.sweep_plan import parse_axes, SweepPlan
 
 BASE = Configuration.from_flat({'loop.duration': 2.0, 'plant.substeps': 1,
                                 'plant.noise': [0.0, 0.0]}).to_flat()
+
 
 def test_without_dask_the_cluster_is_refused(monkeypatch):
     monkeypatch.setattr(pool, 'find_spec', lambda name: None)
@@ -90,10 +92,11 @@ def cluster(processes):
     return address, workers
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_no_result(cluster, tmp_path, monkeypatch):
     address, workers = cluster
     monkeypatch.setattr(module, 'CHUNK', 1)
-    monkeypatch.setattr(pool, 'PATIENCE', 60)
+    monkeypatch.setattr(pool, 'SCHEDULER_TIMEOUT', 60)
     plan = SweepPlan(BASE, parse_axes(['controller.epsilon=0.01:0.05:12']))
     killed = []
 
@@ -109,6 +112,7 @@ def test_a_killed_worker_loses_no_result(cluster, tmp_path, monkeypatch):
     assert (tmp_path / 'cluster.csv').read_bytes() == (tmp_path / 'here.csv').read_bytes()
 
 
+@pytest.mark.slow
 def test_few_tasks_are_in_flight_on_a_cluster(cluster):
     tasks = Counted(60)
     assert sorted(tasks.collect(cluster=cluster[0])) == [(place, place) for place in range(60)]

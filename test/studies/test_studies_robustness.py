@@ -1,17 +1,19 @@
+# SPDX-License-Identifier: Apache-2.0
 """The share of random plants within Ω_ε: what counts, what the controller is told."""
 
 import importlib
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.files import load_configuration
-from dz_ros.studies.outcome import COLUMNS, run_row
+from dz_ros.files.configurations import load_configuration
+from dz_ros.studies.outcome import run_row
 from dz_ros.studies.scenarios import yardstick
 
 BENCHMARKS = Path(__file__).parents[2] / 'benchmarks'
-INSIDE = {**dict.fromkeys(COLUMNS), 'lost': 0, 'error_max': 0.01, 'omega': 1.0}
 
 
 @pytest.fixture
@@ -24,15 +26,16 @@ def cells(line):
     return [cell.strip() for cell in line.strip('|').split('|')]
 
 
-@pytest.mark.parametrize(('change', 'share', 'alone'), [
-    ({}, '100.00 %', '100.00 %'),
-    ({'omega': 0.999}, '75.00 %', '100.00 %'),          # x' leaves, x does not
-    ({'omega': 0.9, 'error_max': 0.03}, '75.00 %', '75.00 %'),
-    ({'lost': 1}, '75.00 %', '75.00 %'),
-    ({'lost': 1, 'omega': None, 'error_max': None}, '75.00 %', '75.00 %')])
-def test_a_plant_counts_where_every_state_stays_within(robustness, change, share, alone):
-    rows = [INSIDE, INSIDE, {**INSIDE, **change}, INSIDE]
-    assert cells(robustness.table_line('robust', rows, 1.0))[2:4] == [share, alone]
+@pytest.mark.parametrize(('row', 'share', 'alone', 'lost'), [
+    ((0.5, 0.5, 1.0), '100.00 %', '100.00 %', '0'),
+    ((0.5, 1.001, 1.0), '75.00 %', '100.00 %', '0'),    # x' leaves, x does not
+    ((1.5, 0.5, 1.0), '75.00 %', '75.00 %', '0'),
+    ((math.inf, math.inf, math.inf), '75.00 %', '75.00 %', '1')])
+def test_a_plant_counts_where_every_state_stays_within(robustness, row, share, alone, lost):
+    scale = np.array([*yardstick(), 1.0])       # of |x|, |x'| and the variation
+    rows = scale * np.array([(0.5, 0.5, 1.0)] * 3 + [row])
+    line = cells(robustness.table({('wang2004', 0, False): rows})[-1])
+    assert (line[3], line[4], line[-1]) == (share, alone, lost)
 
 
 @pytest.mark.parametrize('law', ['wang2004', 'robust'])

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """How fast sweeps are said to be: compilation is left out wherever it happens."""
 
 import importlib

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sweeps: their points, their file that survives being cut, their maps, their cluster."""
 
 import csv
@@ -26,7 +27,7 @@ BASE = Configuration.from_flat({'loop.duration': 2.0, 'plant.substeps': 1,
 @pytest.fixture(autouse=True)
 def plain(monkeypatch):
     """Compile nothing in this process: the runs are short."""
-    monkeypatch.setattr('dz_ros.core.compiled.available', lambda: False)
+    monkeypatch.setattr('dz_ros.core.loop.compiled.available', lambda: False)
 
 
 def plan_of(*axes, **settings):
@@ -36,7 +37,7 @@ def plan_of(*axes, **settings):
 def test_a_grid_is_every_combination():
     points = plan_of('controller.epsilon=0.01:0.03:3', 'loop.delay=0,1').points()
     assert list(points) == [{'controller.epsilon': epsilon, 'loop.delay': delay}
-                      for epsilon in np.linspace(0.01, 0.03, 3).tolist() for delay in (0, 1)]
+                            for epsilon in np.linspace(0.01, 0.03, 3).tolist() for delay in (0, 1)]
 
 
 def test_equal_ratios_include_both_ends():
@@ -101,7 +102,7 @@ def test_points_are_made_as_they_are_asked_for(axes, most):
 def test_one_number_of_an_array():
     plan = plan_of('plant.noise[1]=0,0.01', 'plant.dead_zone.b_r_drift[0]=0.1,0.2')
     assert plan.changes(list(plan.points())[3]) == {'plant.noise': [0.0, 0.01],
-                                              'plant.dead_zone.b_r_drift': [0.2, 0.0]}
+                                                    'plant.dead_zone.b_r_drift': [0.2, 0.0]}
 
 
 @pytest.mark.parametrize(('axes', 'settings', 'words'), [
@@ -174,13 +175,15 @@ def test_what_a_plant_of_one_s_own_raises_costs_its_run_only(tmp_path, monkeypat
     rows = read_sweep(tmp_path / 's.csv')
     assert [row['lost'] for row in rows] == [0, 1, 1, 1]
     assert [(row['reason'] or '')[:18] for row in rows] == [
-        '', 'failed: KeyError: ', 'failed: TypeError:', 'failed: KeyError: ']
+        '', 'refused: plant.mod', 'failed: TypeError:', 'refused: plant.mod']
+    assert 'cannot be made: KeyError' in rows[1]['reason']
     assert rows[0]['error_max'] > 0.0
     if jobs == 1:       # not compiled: the message is the plant's own
         assert rows[2]['reason'].startswith('failed: TypeError: no such thing, thing,')
     assert len(rows[2]['reason']) < 320
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('kept', [0.0, 0.02, 0.4, 0.63, 0.99, 1.0])
 def test_a_sweep_goes_on_from_wherever_it_was_cut(tmp_path, kept, monkeypatch):
     monkeypatch.setattr(module, 'CHUNK', 2)
@@ -222,6 +225,7 @@ def test_parquet_holds_the_same_rows(tmp_path):
         run_sweep(plan, tmp_path / 's.parquet', 1)
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_file_of_one(tmp_path, monkeypatch):
     monkeypatch.setattr(module, 'CHUNK', 2)
     plan = plan_of('controller.epsilon=0.01:0.05:6')
@@ -230,6 +234,7 @@ def test_two_processes_give_the_file_of_one(tmp_path, monkeypatch):
     assert (tmp_path / 'one.csv').read_bytes() == (tmp_path / 'two.csv').read_bytes()
 
 
+@pytest.mark.slow
 def test_the_measured_boundary_is_the_predicted_one(tmp_path):
     base = {**BASE, 'loop.duration': 8.0, 'loop.delay': 1}
     plan = SweepPlan(base, parse_axes(['controller.epsilon=0.0105:0.0165:13']))
@@ -242,6 +247,7 @@ def test_the_measured_boundary_is_the_predicted_one(tmp_path):
     assert measured == pytest.approx(predicted, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_command_line_runs_and_draws(tmp_path, capsys):
     out = tmp_path / 's.csv'
     words = ['sweep', 'wang2004', '--over', 'controller.epsilon=0.01:0.1:4:log', '--duration', '1',

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sweeps: their points, their file that survives being cut, their maps, their cluster."""
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The layouts that come with the package: they are what the tool writes, and point at the data."""
 
 import importlib.util
@@ -11,8 +12,8 @@ import pytest
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
-from dz_ros.core.loop import simulate
-from dz_ros.files import load_configuration
+from dz_ros.core.loop.offline import simulate
+from dz_ros.files.configurations import load_configuration
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / 'config' / 'layouts'

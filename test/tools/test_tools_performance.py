@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The benchmarks judge rightly, and their peers compute the same loop."""
 
 from dataclasses import replace
@@ -14,10 +15,17 @@ sys.path.insert(0, str(ROOT))
 from benchmarks import performance  # noqa: E402
 from benchmarks.speed_kit import peers, running  # noqa: E402
 from benchmarks.speed_kit.profile_of_a_node import functions  # noqa: E402
-from benchmarks.speed_kit.rows import markdown, Row, show, spread  # noqa: E402
+from benchmarks.speed_kit.rows import (  # noqa: E402
+    in_turns,
+    interval,
+    markdown,
+    Row,
+    show,
+    spread,
+)
 from dz_ros.core.configuration import Configuration  # noqa: E402
 from dz_ros.core.dataset import Channel, from_run  # noqa: E402
-from dz_ros.core.loop import simulate  # noqa: E402
+from dz_ros.core.loop.offline import simulate  # noqa: E402
 
 
 @pytest.fixture(scope='module')
@@ -33,6 +41,31 @@ def test_a_row_knows_whether_it_is_met(value, target, least, met, capsys):
     assert row.met is met
     assert show([row]) == (not met)
     assert ('MISSED' in capsys.readouterr().out) is not met
+
+
+@pytest.mark.parametrize(('ratios', 'least', 'verdict'), [
+    ([1.0, 1.1, 1.12], False, 'met'), ([1.1, 1.2, 1.3], False, 'open'),
+    ([1.2, 1.3, 1.4], False, '**MISSED**'), ([0.7, 0.75, 0.85], True, 'open'),
+    ([0.7, 0.75, 0.76], True, '**MISSED**')])
+def test_a_row_of_turns_is_missed_only_where_its_interval_excludes_the_target(ratios, least,
+                                                                              verdict):
+    row = in_turns('ratio', ratios, 0.8 if least else 1.15, least=least)
+    assert row.value == sorted(ratios)[1]
+    assert row.cells()[3] == verdict
+    assert row.missed == (verdict == '**MISSED**')
+    assert show([row]) == row.missed
+
+
+def test_the_interval_of_a_median_is_that_of_order_statistics():
+    values = list(range(1, 101))
+    assert interval(values[:1]) == (1, 1)
+    assert interval(values[:4]) == (1, 4)       # too few to leave any out
+    assert interval(values[:10]) == (2, 9)      # 97.9 %; the next one has 89.1 %
+    assert interval(values[::-1]) == (42, 59)
+    draw = np.random.default_rng(1)
+    held = [low <= 0.0 <= high for low, high in (
+        interval(draw.standard_normal(12).tolist()) for _ in range(2000))]
+    assert 0.9 < np.mean(held) < 0.99
 
 
 def test_a_table_has_a_line_for_each_row():

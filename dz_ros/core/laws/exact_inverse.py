@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The dead-zone inverted with its true break points: a bound, not a candidate [tao_kokotovic1994].
 
     v_d = −k_d s + φ̂ u_fd + Yᵀθ̂ − k sat(s/ε)                               (14)
@@ -5,22 +6,20 @@
     θ̂_i' = −γ Y_i s_ε,   φ̂' = −η u_fd s_ε
 
 Any order n. With equal slopes D(v) = m v_d exactly, so the theorem of [wang2004] holds with d = 0:
-k has to cover the disturbance only. It needs what (A1)–(A4) say nobody knows, b_r and b_l, as
-gains; k is 0, 1.47 or 2.5 in the comparison. v jumps by b_r − b_l where v_d changes sign.
+k has to cover the disturbance only. b_r and b_l, which (A1)–(A4) take as unknown, are gains here.
+v jumps by b_r − b_l where v_d changes sign.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from dz_ros.core.laws.adaptive import Adaptive, SwitchingGains
-from dz_ros.core.laws.base import Design
-from dz_ros.core.laws.wang2004 import adapt, control
-from dz_ros.core.records import STATUS
+from dz_ros.core.laws.base import Design, Numbers, Tunable
+from dz_ros.core.laws.wang2004 import adaptive_step
 from dz_ros.core.schema import parameter
-from dz_ros.core.tracking import feed_forward, filtered_error
+from dz_ros.core.signals import V_EXTRA
 
 
 @dataclass(frozen=True)
@@ -38,6 +37,9 @@ class ExactInverse(Adaptive):
     name = 'exact_inverse'
     summary = 'ideal bound: the dead-zone inverted with its true break points'
     Gains = ExactInverseGains
+    tunable: ClassVar[tuple[Tunable, ...]] = (
+        Tunable('lambda', 0.3, 30.0), Tunable('k_d', 2.0, 60.0),
+        Tunable('epsilon', 0.002, 0.5), Tunable('gamma', 0.02, 20.0))
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -50,22 +52,14 @@ class ExactInverse(Adaptive):
         return replace(super().design, inverse=True)
 
     @staticmethod
-    def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],
-               x: Sequence[float], y: Sequence[float], dt: float, new_memory: Any,
-               terms: Any) -> float:
+    def kernel(c: Numbers, memory: Numbers, x_d: Numbers, x: Numbers, y: Numbers,
+               dt: float, new_memory: Any, terms: Any) -> float:
         """One sample."""
-        n = len(x)
-        s = filtered_error(c, 5, x_d, x)
-        u_fd = feed_forward(c, 5 + n, x_d, x)
-        v_d = control(c[0], c[1], c[2], memory, s, u_fd, y, terms)
+        v_d = adaptive_step(c, memory, x_d, x, y, dt, new_memory, terms)
         jump = 0.0
         if v_d > 0.0:
-            jump = c[5 + 2 * n]
+            jump = c[5 + 2 * len(x)]
         elif v_d < 0.0:
-            jump = c[6 + 2 * n]
-        terms[7] = jump
-        adapt(c[3], c[4], memory, y, u_fd, terms[1], dt, new_memory)
-        for i in range(len(memory)):
-            terms[STATUS + 1 + i] = memory[i]
-        terms[STATUS] = 0.0
+            jump = c[6 + 2 * len(x)]
+        terms[V_EXTRA] = jump
         return v_d + jump

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The law of [wang2004] with its extensions, each a switch of its own, all off by default (ours).
 
     v    = −k_d s + φ̂ u_fd + Yᵀθ̂ − k* sat(s/ε)                            (14)
@@ -9,45 +10,52 @@
     θ̂, φ̂, v_I stand still while |v| > v_max and v s < 0         anti_windup
     ε    = k*/(f μ_d/(β T) − k_d − (n−1) λ φ̂(0))                automatic_epsilon
 
-With every switch off the numbers are those of `wang2004`, bit for bit. The pieces are in
-`dz_ros.core.laws.extensions`. The late gradient knows v of the sample before only, so with it the
-anti-windup looks at that one. An interval of 0 leaves the whole memory as it is.
-
-Proven, with the paper's assumptions: projection (true parameters in the box) and the integral
-(k* ≥ ρ/m_min + ρ_I) keep the theorem in continuous time; the feed-forward adds a bounded error
-that k* must cover (|d̂ − d|/m instead of |d|/m). Anti-windup and the late gradient are sampled
-devices: no theorem, simulation only.
+With every switch off the numbers are those of `wang2004`, bit for bit. The late gradient knows v
+of the sample before only, so the anti-windup then uses that one. An interval of 0 leaves the whole
+memory as it is. What is proven: mathematics.md §6, §14.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
-from dz_ros.core.boundary_layer import automatic_epsilon, layer_gain
-from dz_ros.core.laws.base import Design, Law, per_regressor
+from dz_ros.core.design.boundary_layer import automatic_epsilon, layer_gain
+from dz_ros.core.design.linear_loop import integral_model, LayerModel
+from dz_ros.core.laws.base import Design, Numbers, publish, Tunable
 from dz_ros.core.laws.extensions import (
     break_point,
-    check_start,
     clip,
+    INTEGRAL,
+    LAST,
+    last_regressors,
     late_gradient,
     project,
-    projection_box,
+    ProjectedLaw,
     ProjectionGains,
+    STARTED,
     winds_up,
 )
-from dz_ros.core.laws.wang2004 import adapt, adaptive_design, control, Wang2004Gains
-from dz_ros.core.records import STATUS, Status
+from dz_ros.core.laws.wang2004 import (
+    adapt,
+    adaptive_design,
+    control,
+    Wang2004,
+    Wang2004Gains,
+)
+from dz_ros.core.records import Status
 from dz_ros.core.schema import parameter
+from dz_ros.core.signals import before, estimates, places, S_EPS, Signal, STATUS, V_EXTRA
 from dz_ros.core.tracking import error_weights, feed_forward, feed_forward_weights, filtered_error
 from dz_ros.errors import ConfigurationError
 
 _SATURATED = float(Status.SATURATED)
 # Places in the constants, counted from the end of Λ_v.
 _PROJECTION, _LATE, _V_MAX, _R_I, _RHO_I, _B_R, _B_L, _E0, _BOX = range(9)
-# Places in the memory, counted from the end of θ̂, φ̂.
-_V_I, _U, _V, _STARTED, _Y = range(5)
+# The memory after θ̂, φ̂; Y⁻ follows.
+_MEMORY = (INTEGRAL, *LAST, STARTED)
+_V_I, _U, _V, _STARTED = places(_MEMORY, 'v_integral', 'u_last', 'v_last', 'started')
+_Y = len(_MEMORY)
 
 
 @dataclass(frozen=True)
@@ -82,36 +90,34 @@ class ExtendedGains(ProjectionGains, Wang2004Gains):
                           minimum=0.0, open_minimum=True)
 
     def check(self, prefix: str) -> None:
-        """Check that the anti-windup knows a limit.
-
-        Raises:
-            ConfigurationError: It does not.
-        """
+        """Check that the anti-windup knows a limit."""
         if self.anti_windup and self.v_max == 0.0:
             raise ConfigurationError(f'{prefix}v_max', self.v_max,
                                      'anti_windup needs the limit of the actuator, > 0')
 
 
-class Extended(Law):
+class Extended(ProjectedLaw):
     """Equations (8)–(17) and the switches."""
 
     name = 'extended'
     summary = 'the law of 2004 with switches: projection, late gradient, integral, …'
     Gains = ExtendedGains
+    tunable: ClassVar[tuple[Tunable, ...]] = (
+        *Wang2004.tunable, Tunable('integral_divisor', 4.0, 64.0))
 
     def __init__(self, gains: Any = None, order: int = 2, regressor_count: int = 2,
                  period: float = 0.005) -> None:
         super().__init__(gains, order, regressor_count, period)
         g = self.gains
-        self._theta_0 = per_regressor(g.theta_0, regressor_count, 'theta_0')
-        self._box = projection_box(g, regressor_count)
-        if g.projection:
-            check_start(self._box, self._theta_0, g.phi_0)
         self.epsilon = g.epsilon
         if g.automatic_epsilon:
             lead = feed_forward_weights(g.lambda_, order)[-1] * g.phi_0
             self.epsilon = automatic_epsilon(g.k_star, g.k_d, lead, g.beta, period,
                                              g.design_delay, g.margin)
+
+    @property
+    def _projects(self) -> bool:
+        return bool(self.gains.projection)
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -127,17 +133,10 @@ class Extended(Law):
                 g.b_l_guess if g.dead_zone_feed_forward else 0.0, g.e0, *self._box)
 
     @property
-    def memory_names(self) -> tuple[str, ...]:
-        """θ̂, φ̂, v_I, u_fd⁻, v⁻, whether a sample came before, Y⁻."""
-        r = range(1, self.regressor_count + 1)
-        return (*(f'theta{i}' for i in r), 'phi', 'v_integral', 'u_last', 'v_last', 'started',
-                *(f'y{i}_last' for i in r))
-
-    @property
-    def signal_names(self) -> tuple[str, ...]:
+    def signals(self) -> tuple[Signal, ...]:
         """θ̂, φ̂ as used in v, v_I after its update; then the memory before the step."""
-        return (*self.memory_names[:self.regressor_count + 2],
-                *(f'{name}_before' for name in self.memory_names))
+        used = estimates(self.regressor_count)
+        return (*used, INTEGRAL, *before((*used, *_MEMORY, *last_regressors(len(used) - 1))))
 
     @property
     def design(self) -> Design:
@@ -145,28 +144,28 @@ class Extended(Law):
         g = self.gains
         found = adaptive_design(g, self.order, g.k_star, self.epsilon)
         if g.integral:
-            found = replace(found, reserve=g.rho_i,
-                            integral_rate=found.gain ** 2 / g.integral_divisor)
+            found = replace(found, reserve=g.rho_i)
         if g.dead_zone_feed_forward:
             found = replace(found, guess=(g.b_r_guess, g.b_l_guess, g.e0))
-        if g.projection:
-            r = self.regressor_count
-            found = replace(found, theta=tuple(zip(self._box[:r], self._box[r:2 * r],
-                                                   strict=True)), phi=self._box[2 * r:])
-        return found
+        return self.projected(found) if g.projection else found
+
+    def layer_model(self, gain: float | None = None) -> LayerModel | None:
+        """Return the model, with the integral where it is switched on; its rate follows K."""
+        if not self.gains.integral:
+            return super().layer_model(gain)
+        found = self.design
+        gain = found.gain if gain is None else gain
+        return integral_model(self.order, found.lambda_, gain, found.lead,
+                              self.regressor_count + 1 + _V_I,
+                              self.period * gain * gain / self.gains.integral_divisor)
 
     def initial_memory(self) -> tuple[float, ...]:
         """θ̂(0), φ̂(0), nothing before."""
         return (*self._theta_0, self.gains.phi_0, *(0.0,) * (4 + self.regressor_count))
 
-    def memory_from_signals(self, signals: Sequence[float]) -> tuple[float, ...]:
-        """The memory before the step is published whole."""
-        return tuple(signals[self.regressor_count + 2:])
-
     @staticmethod
-    def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],
-               x: Sequence[float], y: Sequence[float], dt: float, new_memory: Any,
-               terms: Any) -> float:
+    def kernel(c: Numbers, memory: Numbers, x_d: Numbers, x: Numbers, y: Numbers,
+               dt: float, new_memory: Any, terms: Any) -> float:
         """One sample: late gradient, v, Euler step, integral."""
         n = len(x)
         r = len(y)
@@ -193,14 +192,14 @@ class Extended(Law):
         v_extra = -clip(memory[rest + _V_I], -c[own + _RHO_I], c[own + _RHO_I])
         v_extra += break_point(v + v_extra, c[own + _B_R], c[own + _B_L], c[own + _E0])
         v += v_extra
-        terms[7] = v_extra
+        terms[V_EXTRA] = v_extra
 
         if dt > 0.0:
             if winds_up(v, c[own + _V_MAX], s):
                 status = _SATURATED
             else:
                 if c[own + _LATE] == 0.0:
-                    adapt(c[3], c[4], memory, y, u_fd, terms[1], dt, new_memory)
+                    adapt(c[3], c[4], memory, y, u_fd, terms[S_EPS], dt, new_memory)
                     if c[own + _PROJECTION] != 0.0:
                         project(c, own + _BOX, r, new_memory)
                 if -c[2] <= s <= c[2]:
@@ -213,6 +212,5 @@ class Extended(Law):
                 new_memory[rest + _Y + i] = y[i]
         terms[STATUS] = status
         terms[STATUS + 1 + rest] = new_memory[rest + _V_I]
-        for i in range(len(memory)):
-            terms[STATUS + 2 + rest + i] = memory[i]
+        publish(memory, STATUS + 2 + rest, terms)
         return v

@@ -1,16 +1,11 @@
+# SPDX-License-Identifier: Apache-2.0
 """What may be added to the paper's law, one small function a piece, shared by the laws (ours).
 
-    projection            θ̂_i, φ̂ clipped to prior bounds that contain a_i/(bm), 1/(bm)
-    late gradient         θ̂_k = θ̂_{k−1} − T γ Y_{k−1} s_k / N,  φ̂_k likewise with η u_{k−1},
-                          N = 1 + T (γ|Y_{k−1}|² + η u_{k−1}²)/k_d
-    anti-windup           nothing that integrates moves while |v| > v_max and v s < 0
-    in-layer integral     v_I' = r_I s only while |s| ≤ ε, |v_I| ≤ ρ_I
-    dead-zone feed-forward  v += b̂_r χ_r + b̂_l χ_l,  χ_r = 1/(1 + e^(−2v/e0)),  χ_l = 1 − χ_r
-
-Projection onto a convex set that contains the true parameters, and the normalised gradient, keep
-the Lyapunov argument [ioannou_sun1996]. An integral of bounded authority acts as more d/m: the
-theorem stays if k* ≥ ρ/m_min + ρ_I. The feed-forward is the smooth dead-zone inverse with fixed
-break points [tao_kokotovic1994]; its error acts as d/m too.
+Projection, late gradient, anti-windup, integral in the layer, identifier, feed-forward of the
+dead-zone: equations and what is proven in mathematics.md §6, §10. Projection onto a convex set
+that contains the true parameters, and the normalised gradient, keep the Lyapunov argument
+[ioannou_sun1996]; the feed-forward is the smooth dead-zone inverse with fixed break points
+[tao_kokotovic1994].
 
 Scalar functions without side effect but the buffer they fill; `at` is where, in a longer sequence,
 their numbers begin.
@@ -19,15 +14,28 @@ their numbers begin.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 from typing import Any
 
 import numpy as np
 
-from dz_ros.core.laws.base import per_regressor
+from dz_ros.core.laws.base import Design, per_regressor
+from dz_ros.core.laws.wang2004 import Wang2004
 from dz_ros.core.schema import parameter
+from dz_ros.core.signals import Signal
 from dz_ros.errors import ConfigurationError
+
+INTEGRAL = Signal('v_integral', 'v', 'integral inside the layer', symbol='v_I')
+LAST = (Signal('u_last', 'x^(n)', 'u_fd of the sample before'),
+        Signal('v_last', 'v', 'v of the sample before'))
+STARTED = Signal('started', '1', 'whether a sample came before')
+
+
+def last_regressors(count: int) -> tuple[Signal, ...]:
+    """Return the signals of Y of the sample before."""
+    return tuple(Signal(f'y{i}_last', f'Y{i}', f'Y_{i} of the sample before')
+                 for i in range(1, count + 1))
 
 
 @dataclass(frozen=True)
@@ -35,47 +43,58 @@ class ProjectionGains:
     """Prior bounds of the estimates; the values are ours for the example of [wang2004]."""
 
     theta_min: tuple[float, ...] = parameter(
-        (0.1,), '1', 'lowest θ̂ after projection, one number for each regressor or one for all; '
-        'must lie below every a_i/(b m) that can occur')
+        (0.1,), 'actuator unit per unit of Y_i', 'lowest θ̂ after projection, one number for each '
+        'regressor or one for all; must lie below every a_i/(b m) that can occur')
     theta_max: tuple[float, ...] = parameter(
-        (3.0,), '1', 'highest θ̂ after projection; must lie above every a_i/(b m)')
-    phi_min: float = parameter(0.3, '1', 'lowest φ̂ after projection; must lie below 1/(b m)')
-    phi_max: float = parameter(2.5, '1', 'highest φ̂ after projection; must lie above 1/(b m)')
+        (3.0,), 'actuator unit per unit of Y_i', 'highest θ̂ after projection; must lie above '
+        'every a_i/(b m)')
+    phi_min: float = parameter(0.3, 'actuator unit per unit of x^(n)', 'lowest φ̂ after '
+                               'projection; must lie below 1/(b m)')
+    phi_max: float = parameter(2.5, 'actuator unit per unit of x^(n)', 'highest φ̂ after '
+                               'projection; must lie above 1/(b m)')
 
 
-def projection_box(gains: ProjectionGains, count: int) -> tuple[float, ...]:
-    """Return θ̂ minima, θ̂ maxima, φ̂ minimum, φ̂ maximum for `project`, shape (2 count + 2,).
-
-    Raises:
-        ConfigurationError: Wrong lengths, or a lower bound above the upper one.
-    """
-    low = per_regressor(gains.theta_min, count, 'theta_min')
-    high = per_regressor(gains.theta_max, count, 'theta_max')
-    for minimum, maximum in zip(low, high, strict=True):
-        if minimum > maximum:
-            raise ConfigurationError('controller.theta_min', list(gains.theta_min),
-                                     f'must not exceed theta_max = {list(gains.theta_max)}')
-    if gains.phi_min > gains.phi_max:
-        raise ConfigurationError('controller.phi_min', gains.phi_min,
-                                 f'must not exceed phi_max = {gains.phi_max:g}')
-    return (*low, *high, gains.phi_min, gains.phi_max)
-
-
-def check_start(box: Sequence[float], theta_0: Sequence[float], phi_0: float) -> None:
-    """Check that θ̂(0), φ̂(0) lie in the box.
+class ProjectedLaw(Wang2004):
+    """Base of the laws whose θ̂, φ̂ may be clipped to a box.
 
     Raises:
-        ConfigurationError: They do not.
+        ConfigurationError: Bounds of the wrong length or order, or a start outside of them.
     """
-    r = len(theta_0)
-    for i, value in enumerate(theta_0):
-        if not box[i] <= value <= box[r + i]:
-            raise ConfigurationError('controller.theta_0', list(theta_0),
-                                     f'θ̂_{i + 1}(0) must lie in its projection bounds '
-                                     f'[{box[i]:g}, {box[r + i]:g}]')
-    if not box[2 * r] <= phi_0 <= box[2 * r + 1]:
-        raise ConfigurationError('controller.phi_0', phi_0, 'must lie in its projection bounds '
-                                 f'[{box[2 * r]:g}, {box[2 * r + 1]:g}]')
+
+    def __init__(self, gains: Any = None, order: int = 2, regressor_count: int = 2,
+                 period: float = 0.005) -> None:
+        super().__init__(gains, order, regressor_count, period)
+        g = self.gains
+        low = per_regressor(g.theta_min, regressor_count, 'theta_min')
+        high = per_regressor(g.theta_max, regressor_count, 'theta_max')
+        if any(minimum > maximum for minimum, maximum in zip(low, high, strict=True)):
+            raise ConfigurationError('controller.theta_min', list(g.theta_min),
+                                     f'must not exceed theta_max = {list(g.theta_max)}')
+        if g.phi_min > g.phi_max:
+            raise ConfigurationError('controller.phi_min', g.phi_min,
+                                     f'must not exceed phi_max = {g.phi_max:g}')
+        self._box = (*low, *high, g.phi_min, g.phi_max)
+        if not self._projects:
+            return
+        for i, (value, minimum, maximum) in enumerate(zip(self._theta_0, low, high, strict=True),
+                                                      1):
+            if not minimum <= value <= maximum:
+                raise ConfigurationError('controller.theta_0', list(self._theta_0),
+                                         f'θ̂_{i}(0) must lie in its projection bounds '
+                                         f'[{minimum:g}, {maximum:g}]')
+        if not g.phi_min <= g.phi_0 <= g.phi_max:
+            raise ConfigurationError('controller.phi_0', g.phi_0, 'must lie in its projection '
+                                     f'bounds [{g.phi_min:g}, {g.phi_max:g}]')
+
+    @property
+    def _projects(self) -> bool:
+        return True
+
+    def projected(self, design: Design) -> Design:
+        """Return a design with the bounds of the estimates."""
+        r = self.regressor_count
+        return replace(design, theta=tuple(zip(self._box[:r], self._box[r:2 * r], strict=True)),
+                       phi=self._box[2 * r:])
 
 
 def clip(value: float, low: float, high: float) -> float:
@@ -99,17 +118,9 @@ def late_gradient(gamma: float, eta: float, k_d: float, dt: float, s_a: float,
                   estimates: Any) -> None:
     """Move θ̂, φ̂ in place by the gradient of the sample before and the error it led to.
 
-    Args:
-        gamma: γ.
-        eta: η.
-        k_d: Damping gain, the scale of N.
-        dt: Interval between the two samples [s].
-        s_a: Distance of s from the layer now.
-        before: Holds Y of the sample before from index `at` on.
-        at: Index of Y_1.
-        count: Number r of regressors.
-        u_before: u_fd of the sample before.
-        estimates: θ̂_1 … θ̂_r, φ̂ (and what follows).
+        θ̂ −= T γ Y⁻ s_a/N,   φ̂ −= T η u⁻ s_a/N,   N = 1 + T (γ|Y⁻|² + η u⁻²)/k_d
+
+    Y⁻ is in `before` from index `at` on, count numbers; u⁻ is u_before, T is dt [s].
     """
     power = 0.0
     for i in range(count):
@@ -120,6 +131,34 @@ def late_gradient(gamma: float, eta: float, k_d: float, dt: float, s_a: float,
     estimates[count] -= step * eta * u_before
 
 
+def correct_estimates(amount: float, u_before: float, before: Sequence[float], at: int,
+                      box: Sequence[float], box_at: int, count: int, estimates: Any) -> float:
+    """Move θ̂, φ̂ in place against Y⁻, u⁻, clipped to the box; return Y⁻ᵀΔθ̂ + u⁻Δφ̂.
+
+    `amount` is T times what is to be moved [actuator unit · s]; the box of `project` is in
+    `box` from index `box_at` on; the rest as of `late_gradient`.
+    """
+    power = 1.0 + u_before * u_before
+    for i in range(count):
+        power += before[at + i] * before[at + i]
+    step = amount / power
+    moved = 0.0
+    for i in range(count):
+        old = estimates[i]
+        estimates[i] = clip(old - step * before[at + i], box[box_at + i], box[box_at + count + i])
+        moved += before[at + i] * (estimates[i] - old)
+    old = estimates[count]
+    estimates[count] = clip(old - step * u_before, box[box_at + 2 * count],
+                            box[box_at + 2 * count + 1])
+    moved += u_before * (estimates[count] - old)
+    return float(moved)
+
+
+def opposed(a: float, b: float) -> bool:
+    """Return whether two numbers have opposite signs, neither being 0."""
+    return (a > 0.0 and b < 0.0) or (a < 0.0 and b > 0.0)
+
+
 def exceeds(v: float, v_max: float) -> bool:
     """Return whether a command exceeds the known limit; 0 = no limit is known."""
     return v_max > 0.0 and (v > v_max or v < -v_max)
@@ -127,7 +166,7 @@ def exceeds(v: float, v_max: float) -> bool:
 
 def winds_up(v: float, v_max: float, s: float) -> bool:
     """Return whether the command exceeds the known limit and pushes against s."""
-    return exceeds(v, v_max) and ((v > 0.0 and s < 0.0) or (v < 0.0 and s > 0.0))
+    return exceeds(v, v_max) and opposed(v, s)
 
 
 def right_share(v: float, e0: float) -> float:
@@ -147,12 +186,7 @@ def largest_rest(guess: Sequence[float], b_r_bounds: Sequence[float],
 
     With δ = b̂_r χ_r + b̂_l χ_l the actuator gets v = v_d + δ; of m v_d it misses m (δ − b_r) where
     v ≥ b_r, m (δ − b_l) where v ≤ b_l and m v_d between. Each is monotonic in b_r and b_l, so the
-    corners of their bounds are the worst; v_d is looked at on a grid.
-
-    Args:
-        guess: b̂_r, b̂_l, e0.
-        b_r_bounds: Known bounds of b_r (A4).
-        b_l_bounds: Known bounds of b_l (A4).
+    corners of their bounds (A4) are the worst; v_d is searched on a grid. guess: b̂_r, b̂_l, e0.
     """
     b_r, b_l, e0 = guess
     far = 20.0 * e0 + max(b_r, -b_l, b_r_bounds[1], -b_l_bounds[0])

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Adaptive fuzzy dead-zone compensation, after Lewis, Tim, Wang and Li [lewis1999].
 
     r = −s,   w = (14) with k,   θ̂, φ̂ by (15), (16)
@@ -5,25 +6,25 @@
     v  = w + d̂₊ X₊ + d̂₋ X₋
     d̂± ' = g (X± r − κ|r| d̂±),   d̂±(0) = 0
 
-Any order n in this form (ours; the original drives a Lagrangian mechanical system, order 2 per
-joint). Rebuilt from descriptions, not transcribed: say "after". In the original tracking error and
-d̂ are proven uniformly ultimately bounded; here the leakage bounds d̂, |d̂±| ≤ 1/κ (as long as
-g κ|s| T < 1), and the rest rests on simulation. Gains are ours.
+Any order n in this form (ours), rebuilt from descriptions, not transcribed. The leakage bounds d̂,
+|d̂±| ≤ 1/κ (as long as g κ|s| T < 1); the rest is simulation. Gains are ours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
+import numpy as np
+
+from dz_ros.core.design.linear_loop import LayerModel
 from dz_ros.core.laws.adaptive import Adaptive, SwitchingGains
-from dz_ros.core.laws.base import Design
+from dz_ros.core.laws.base import Design, Numbers, Tunable
 from dz_ros.core.laws.extensions import clip
-from dz_ros.core.laws.wang2004 import adapt, control
-from dz_ros.core.records import STATUS
+from dz_ros.core.laws.wang2004 import adaptive_step
 from dz_ros.core.schema import parameter
-from dz_ros.core.tracking import feed_forward, filtered_error
+from dz_ros.core.signals import Role, S, Signal, V_EXTRA
+from dz_ros.core.tracking import error_weights
 
 
 @dataclass(frozen=True)
@@ -43,6 +44,9 @@ class Fuzzy(Adaptive):
     name = 'fuzzy'
     summary = 'adaptive fuzzy dead-zone compensation after Lewis et al. 1999'
     Gains = FuzzyGains
+    tunable: ClassVar[tuple[Tunable, ...]] = (
+        Tunable('lambda', 0.3, 30.0), Tunable('k_d', 2.0, 60.0),
+        Tunable('k', 0.3, 8.0), Tunable('epsilon', 0.002, 0.5), Tunable('gamma', 0.02, 20.0))
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -51,9 +55,10 @@ class Fuzzy(Adaptive):
         return (*super().constants, g.fuzzy_overlap, g.fuzzy_gain, g.fuzzy_leakage)
 
     @property
-    def signal_names(self) -> tuple[str, ...]:
+    def signals(self) -> tuple[Signal, ...]:
         """θ̂, φ̂, d̂₊, d̂₋ as used in v, which are the whole memory."""
-        return (*super().signal_names, 'd_plus', 'd_minus')
+        return (*super().signals, Signal('d_plus', 'v', 'break point right', Role.ESTIMATE, 'd̂_+'),
+                Signal('d_minus', 'v', 'break point left', Role.ESTIMATE, 'd̂_-'))
 
     def initial_memory(self) -> tuple[float, ...]:
         """θ̂(0), φ̂(0), d̂± = 0."""
@@ -64,27 +69,30 @@ class Fuzzy(Adaptive):
         """What the design rules need: k need not cover the dead-zone."""
         return replace(super().design, inverse=True, target=0.0)
 
+    def layer_model(self, gain: float | None = None) -> LayerModel | None:
+        """Return the model far from v = 0, where one rule acts: its d̂ is an integral of −s."""
+        bare = super().layer_model(gain)
+        if bare is None:
+            return None
+        weights = np.asarray(error_weights(self.gains.lambda_, self.order))
+        step = -self.period * self.gains.fuzzy_gain * weights[None, :]
+        return replace(bare, places=(self.regressor_count + 1,), a=np.eye(1), b=step,
+                       c=np.ones(1))
+
     @staticmethod
-    def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],
-               x: Sequence[float], y: Sequence[float], dt: float, new_memory: Any,
-               terms: Any) -> float:
+    def kernel(c: Numbers, memory: Numbers, x_d: Numbers, x: Numbers, y: Numbers,
+               dt: float, new_memory: Any, terms: Any) -> float:
         """One sample."""
-        n = len(x)
-        own = 5 + 2 * n
+        own = 5 + 2 * len(x)
         plus = len(y) + 1
-        s = filtered_error(c, 5, x_d, x)
-        u_fd = feed_forward(c, 5 + n, x_d, x)
-        w = control(c[0], c[1], c[2], memory, s, u_fd, y, terms)
+        w = adaptive_step(c, memory, x_d, x, y, dt, new_memory, terms)
+        s = terms[S]
         right = clip((w + c[own]) / (2.0 * c[own]), 0.0, 1.0)
         compensation = memory[plus] * right + memory[plus + 1] * (1.0 - right)
-        terms[7] = compensation
-        adapt(c[3], c[4], memory, y, u_fd, terms[1], dt, new_memory)
+        terms[V_EXTRA] = compensation
         leak = c[own + 2] * abs(s)
         new_memory[plus] = memory[plus] + dt * c[own + 1] * (
             -right * s - leak * memory[plus])
         new_memory[plus + 1] = memory[plus + 1] + dt * c[own + 1] * (
             -(1.0 - right) * s - leak * memory[plus + 1])
-        for i in range(len(memory)):
-            terms[STATUS + 1 + i] = memory[i]
-        terms[STATUS] = 0.0
         return float(w + compensation)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Neural dead-zone compensation, after Selmic and Lewis [selmic_lewis2000].
 
     r = −s,   w = (14) with k,   θ̂, φ̂ by (15), (16)
@@ -7,33 +8,30 @@
     Ŵ_i' = G [σ_i r (Ŵᵀσ'(u)Vᵀ) − k1|r| Ŵ_i − k2|r| ‖Ŵ_i‖ Ŵ_i]
     Ŵ'   = S [−σ'(u)Vᵀ (Ŵ_iᵀσ_i) r − k1|r| Ŵ]
 
-Slopes V and offsets v_0 of both nets are drawn once, from `seed`, and stay; Ŵ_i(0) = 0, Ŵ(0) is
-the least-squares fit of D̂ to the dead-zone of the guessed parameters. The slope of D̂ teaches the
-compensator, so D̂ has to fit over the whole range of v; where it does not, the loop may chatter.
-
-Any order n in this form (ours; the original drives a Lagrangian mechanical system). Rebuilt from
-descriptions, not transcribed: say "after". In the original tracking error and weights are proven
-uniformly ultimately bounded as long as u stays where the nets approximate; here that rests on
-simulation. Gains, spread of the nodes and v_range are ours.
+Slopes V and offsets v_0 are drawn once, from `seed`; Ŵ_i(0) = 0, Ŵ(0) is the least-squares fit of
+D̂ to the dead-zone of the guessed parameters. The slope of D̂ teaches the compensator: where D̂ does
+not fit over the range of v, the loop may chatter. Any order n in this form (ours); rebuilt from
+descriptions, not transcribed. Boundedness rests on simulation; gains, spread of the nodes and
+v_range are ours.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 import math
 import random
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from dz_ros.core.deadzone import DeadZone
 from dz_ros.core.laws.adaptive import Adaptive, SwitchingGains
-from dz_ros.core.laws.base import Design
-from dz_ros.core.laws.wang2004 import adapt, control
-from dz_ros.core.records import STATUS
+from dz_ros.core.laws.base import Design, Numbers, Tunable
+from dz_ros.core.laws.wang2004 import adaptive_step
 from dz_ros.core.schema import parameter
-from dz_ros.core.tracking import feed_forward, filtered_error
+from dz_ros.core.signals import S, Signal, V_EXTRA
 
 _JUMPS = 4
 
@@ -47,7 +45,8 @@ class NeuralGains(SwitchingGains):
     seed: int = parameter(0, '1', 'seed of slopes and offsets', minimum=0, structural=True)
     neural_gain: float = parameter(10.0, 'actuator unit per unit of s per s',
                                    'adaptation gain G of the compensator', minimum=0.0)
-    estimator_gain: float = parameter(1.0, '1', 'adaptation gain S of the estimator', minimum=0.0)
+    estimator_gain: float = parameter(1.0, 'actuator unit per unit of s per s',
+                                      'adaptation gain S of the estimator', minimum=0.0)
     neural_leakage: float = parameter(0.01, '1 per actuator unit', 'leakage k1 of both nets',
                                       minimum=0.0)
     norm_leakage: float = parameter(0.01, '1 per actuator unit squared', 'leakage k2 of the '
@@ -68,11 +67,7 @@ def sigmoid(z: float) -> float:
 
 
 def hidden_layer(generator: random.Random, nodes: int, span: float) -> tuple[float, ...]:
-    """Return slopes V, then offsets v_0, of sigmoids spread over ±span, shape (2 nodes,).
-
-    One centre in each of `nodes` equal stretches; slopes change sign from one to the next, so
-    that the sigmoids span constants too.
-    """
+    """Return slopes V, then offsets v_0, of sigmoids spread over ±span, shape (2 nodes,)."""
     centres = [span * (2.0 * (i + generator.random()) / nodes - 1.0) for i in range(nodes)]
     slopes = [(-1.0) ** i * generator.uniform(6.0, 24.0) / span for i in range(nodes)]
     return (*slopes, *(-slope * centre for slope, centre in zip(slopes, centres, strict=True)))
@@ -88,22 +83,33 @@ def fitted_weights(hidden: Sequence[float], zone: DeadZone, span: float) -> tupl
     return tuple(float(item) for item in weights)
 
 
+@lru_cache(maxsize=16)
+def _nets(seed: int, nodes: int, span: float,
+          zone: DeadZone) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Return compensator, estimator and its weights: milliseconds of work, the same each time."""
+    generator = random.Random(seed)
+    compensator = hidden_layer(generator, nodes, span)
+    estimator = hidden_layer(generator, nodes, span)
+    return compensator, estimator, fitted_weights(estimator, zone, span)
+
+
 class Neural(Adaptive):
     """(14) behind a neural compensator that a neural estimator teaches."""
 
     name = 'neural'
     summary = 'neural dead-zone compensation after Selmic and Lewis 2000'
     Gains = NeuralGains
+    tunable: ClassVar[tuple[Tunable, ...]] = (
+        Tunable('lambda', 0.3, 30.0), Tunable('k_d', 2.0, 60.0),
+        Tunable('k', 0.3, 8.0), Tunable('epsilon', 0.002, 0.5), Tunable('gamma', 0.02, 20.0))
 
     def __init__(self, gains: Any = None, order: int = 2, regressor_count: int = 2,
                  period: float = 0.005) -> None:
         super().__init__(gains, order, regressor_count, period)
         g = self.gains
-        generator = random.Random(g.seed)
-        self._compensator = hidden_layer(generator, g.nodes, g.v_range)
-        self._estimator = hidden_layer(generator, g.nodes, g.v_range)
-        self._weights = fitted_weights(self._estimator, DeadZone(
-            m_r=g.m_guess, m_l=g.m_guess, b_r=g.b_r_guess, b_l=g.b_l_guess), g.v_range)
+        self._compensator, self._estimator, self._weights = _nets(
+            g.seed, g.nodes, g.v_range, DeadZone(m_r=g.m_guess, m_l=g.m_guess, b_r=g.b_r_guess,
+                                                 b_l=g.b_l_guess))
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -113,11 +119,13 @@ class Neural(Adaptive):
                 g.norm_leakage, *self._compensator, *self._estimator)
 
     @property
-    def signal_names(self) -> tuple[str, ...]:
+    def signals(self) -> tuple[Signal, ...]:
         """θ̂, φ̂, Ŵ_i, Ŵ as used in v, which are the whole memory."""
         nodes = self.gains.nodes
-        return (*super().signal_names, *(f'compensator{i + 1}' for i in range(nodes + _JUMPS)),
-                *(f'estimator{i + 1}' for i in range(nodes)))
+        return (*super().signals, *(
+            Signal(f'{net}{i + 1}', 'v', f'weight {i + 1} of the {net}')
+            for net, count in (('compensator', nodes + _JUMPS), ('estimator', nodes))
+            for i in range(count)))
 
     def initial_memory(self) -> tuple[float, ...]:
         """θ̂(0), φ̂(0), Ŵ_i = 0, the fitted Ŵ."""
@@ -129,21 +137,17 @@ class Neural(Adaptive):
         return replace(super().design, inverse=True, target=0.0)
 
     @staticmethod
-    def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],
-               x: Sequence[float], y: Sequence[float], dt: float, new_memory: Any,
-               terms: Any) -> float:
+    def kernel(c: Numbers, memory: Numbers, x_d: Numbers, x: Numbers, y: Numbers,
+               dt: float, new_memory: Any, terms: Any) -> float:
         """One sample; new_memory holds σ_i, then σ'V, until they are used up."""
-        n = len(x)
-        own = 5 + 2 * n
+        own = 5 + 2 * len(x)
         first = len(y) + 1
         nodes = (len(memory) - first - _JUMPS) // 2
         inner = own + 4
         outer = inner + 2 * nodes
         second = first + nodes + _JUMPS
-        s = filtered_error(c, 5, x_d, x)
-        u_fd = feed_forward(c, 5 + n, x_d, x)
-        w = control(c[0], c[1], c[2], memory, s, u_fd, y, terms)
-        adapt(c[3], c[4], memory, y, u_fd, terms[1], dt, new_memory)
+        w = adaptive_step(c, memory, x_d, x, y, dt, new_memory, terms)
+        s = terms[S]
 
         for i in range(nodes):
             new_memory[first + i] = sigmoid(c[inner + i] * w + c[inner + nodes + i])
@@ -160,7 +164,7 @@ class Neural(Adaptive):
             norm += memory[i] * memory[i]
         norm = math.sqrt(norm)
         u = w + compensation
-        terms[7] = compensation
+        terms[V_EXTRA] = compensation
 
         slope = 0.0
         for i in range(nodes):
@@ -175,7 +179,4 @@ class Neural(Adaptive):
         for i in range(second, second + nodes):
             new_memory[i] = memory[i] + dt * c[own + 1] * (
                 new_memory[i] * compensation * s - leak * memory[i])
-        for i in range(len(memory)):
-            terms[STATUS + 1 + i] = memory[i]
-        terms[STATUS] = 0.0
         return u

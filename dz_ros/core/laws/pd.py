@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """PD control, the first baseline [astrom_hagglund1995], written in s (ours).
 
     v = −k_d s (+ x_d^(n) if feed_forward),   s = Λᵀ x̃;   for n = 2: −k_d (x̃' + λ x̃)
@@ -13,14 +14,13 @@ its width over k_d λ.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-from dz_ros.core.laws.base import Design, Law
-from dz_ros.core.records import STATUS
+from dz_ros.core.laws.base import Design, Law, Numbers, Tunable
 from dz_ros.core.schema import parameter
-from dz_ros.core.tracking import error_weights
+from dz_ros.core.signals import S, STATUS, U_FD, V_DAMPING, V_FEED_FORWARD
+from dz_ros.core.tracking import error_weights, filtered_error
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,8 @@ class Pd(Law):
     name = 'pd'
     summary = 'PD baseline: -k_d s, optionally + x_d^(n)'
     Gains = PdGains
+    tunable: ClassVar[tuple[Tunable, ...]] = (
+        Tunable('lambda', 0.3, 60.0), Tunable('k_d', 2.0, 150.0),)
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -48,41 +50,21 @@ class Pd(Law):
         return (g.k_d, 1.0 if g.feed_forward else 0.0, *error_weights(g.lambda_, self.order))
 
     @property
-    def signal_names(self) -> tuple[str, ...]:
-        """None: nothing is estimated."""
-        return ()
-
-    @property
     def design(self) -> Design:
         """What the design rules need: no layer, no robust term."""
         return Design(self.gains.lambda_, self.gains.k_d, 0.0, 0.0, self.gains.k_d, 0.0)
 
-    def initial_memory(self) -> tuple[float, ...]:
-        """Return the empty memory."""
-        return ()
-
-    def memory_from_signals(self, signals: Sequence[float]) -> tuple[float, ...]:  # noqa: ARG002
-        """Return the empty memory."""
-        return ()
-
     @staticmethod
-    def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],  # noqa: ARG004
-               x: Sequence[float], y: Sequence[float], dt: float,  # noqa: ARG004
-               new_memory: Any, terms: Any) -> float:  # noqa: ARG004
+    def kernel(c: Numbers, memory: Numbers, x_d: Numbers, x: Numbers, y: Numbers,  # noqa: ARG004
+               dt: float, new_memory: Any, terms: Any) -> float:  # noqa: ARG004
         """One sample."""
         n = len(x)
-        s = 0.0
-        for i in range(n):
-            s += c[2 + i] * (x[i] - x_d[i])
+        s = filtered_error(c, 2, x_d, x)
         v_damping = -c[0] * s
         v_feed_forward = c[1] * x_d[n]
-        terms[0] = s
-        terms[1] = 0.0
-        terms[2] = x_d[n]
-        terms[3] = v_damping
-        terms[4] = v_feed_forward
-        terms[5] = 0.0
-        terms[6] = 0.0
-        terms[7] = 0.0
+        terms[S] = s
+        terms[U_FD] = x_d[n]
+        terms[V_DAMPING] = v_damping
+        terms[V_FEED_FORWARD] = v_feed_forward
         terms[STATUS] = 0.0
         return v_damping + v_feed_forward

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """PID control, the second baseline [astrom_hagglund1995], for any order n (ours for n ≠ 2).
 
     v  = −k_d (λⁿ I + n λ^(n−1) x̃ + … + n λ x̃^(n−2) + x̃^(n−1)),   the weights of (p + λ)ⁿ
@@ -11,14 +12,18 @@ rest it may hunt. No anti-windup: I runs on while the actuator saturates.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
-from dz_ros.core.laws.base import Design, Law
-from dz_ros.core.records import STATUS
+import numpy as np
+
+from dz_ros.core.design.linear_loop import LayerModel
+from dz_ros.core.laws.base import Design, Law, Numbers, publish, Tunable
 from dz_ros.core.schema import parameter
+from dz_ros.core.signals import S, Signal, STATUS, U_FD, V_DAMPING
 from dz_ros.core.tracking import error_weights, filtered_error
+
+INTEGRAL = Signal('integral', 'x s', 'integral of x̃', symbol='I')
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,8 @@ class Pid(Law):
     name = 'pid'
     summary = "PID baseline: -k_d (x̃' + 2λ x̃ + λ² ∫x̃)"
     Gains = PidGains
+    tunable: ClassVar[tuple[Tunable, ...]] = (
+        Tunable('lambda', 0.3, 60.0), Tunable('k_d', 2.0, 150.0),)
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -44,39 +51,36 @@ class Pid(Law):
         return (self.gains.k_d, *error_weights(self.gains.lambda_, self.order + 1))
 
     @property
-    def signal_names(self) -> tuple[str, ...]:
+    def signals(self) -> tuple[Signal, ...]:
         """I as used in v."""
-        return ('integral',)
+        return (INTEGRAL,)
 
     @property
     def design(self) -> Design:
         """What the design rules need: no layer, no robust term."""
         return Design(self.gains.lambda_, self.gains.k_d, 0.0, 0.0, self.gains.k_d, 0.0)
 
+    def layer_model(self, gain: float | None = None) -> LayerModel:
+        """Return the law, which is linear everywhere: I' = x̃ in steps of T."""
+        gain = self.gains.k_d if gain is None else gain
+        weights = np.asarray(error_weights(self.gains.lambda_, self.order + 1))
+        return LayerModel((0,), np.eye(1), self.period * np.eye(1, self.order),
+                          -gain * weights[:1], -gain * weights[1:])
+
     def initial_memory(self) -> tuple[float, ...]:
         """I = 0."""
         return (0.0,)
 
-    def memory_from_signals(self, signals: Sequence[float]) -> tuple[float, ...]:
-        """I is published as it was used."""
-        return tuple(signals)
-
     @staticmethod
-    def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],
-               x: Sequence[float], y: Sequence[float], dt: float,  # noqa: ARG004
-               new_memory: Any, terms: Any) -> float:
+    def kernel(c: Numbers, memory: Numbers, x_d: Numbers, x: Numbers, y: Numbers,  # noqa: ARG004
+               dt: float, new_memory: Any, terms: Any) -> float:
         """One sample."""
         s = c[1] * memory[0] + filtered_error(c, 2, x_d, x)
         v = -c[0] * s
         new_memory[0] = memory[0] + dt * (x[0] - x_d[0])
-        terms[0] = s
-        terms[1] = 0.0
-        terms[2] = x_d[len(x)]
-        terms[3] = v
-        terms[4] = 0.0
-        terms[5] = 0.0
-        terms[6] = 0.0
-        terms[7] = 0.0
+        terms[S] = s
+        terms[U_FD] = x_d[len(x)]
+        terms[V_DAMPING] = v
         terms[STATUS] = 0.0
-        terms[STATUS + 1] = memory[0]
+        publish(memory, STATUS + 1, terms)
         return v

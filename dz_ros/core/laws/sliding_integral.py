@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Adaptive sliding control with an integral in the surface [slotine_li1991], any order n.
 
     s    = (p + λ)ⁿ ∫x̃          n = 2:  x̃' + 2λ x̃ + λ² I
@@ -11,14 +12,17 @@ s(0) is larger than in `sliding`. The value k is made for the disturbance alone 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from dz_ros.core.laws.adaptive import Adaptive, SwitchingGains
-from dz_ros.core.laws.base import Design
+import numpy as np
+
+from dz_ros.core.design.linear_loop import LayerModel
+from dz_ros.core.laws.adaptive import Adaptive, Sliding, SwitchingGains
+from dz_ros.core.laws.base import Design, Numbers, publish
+from dz_ros.core.laws.pid import INTEGRAL
 from dz_ros.core.laws.wang2004 import adapt, control
-from dz_ros.core.records import STATUS
+from dz_ros.core.signals import S_EPS, Signal, STATUS
 from dz_ros.core.tracking import error_weights, feed_forward, filtered_error
 
 
@@ -28,6 +32,7 @@ class SlidingIntegral(Adaptive):
     name = 'sliding_integral'
     summary = 'adaptive sliding control with an integral in the surface'
     Gains = SwitchingGains
+    tunable = Sliding.tunable
 
     @property
     def constants(self) -> tuple[float, ...]:
@@ -38,9 +43,9 @@ class SlidingIntegral(Adaptive):
                 weights[0])
 
     @property
-    def signal_names(self) -> tuple[str, ...]:
+    def signals(self) -> tuple[Signal, ...]:
         """θ̂, φ̂, I as used in v, which are the whole memory."""
-        return (*super().signal_names, 'integral')
+        return (*super().signals, INTEGRAL)
 
     @property
     def design(self) -> Design:
@@ -48,23 +53,29 @@ class SlidingIntegral(Adaptive):
         lead = self.order * self.gains.lambda_ * self.gains.phi_0
         return replace(super().design, lead=lead, target=0.0)
 
+    def layer_model(self, gain: float | None = None) -> LayerModel:
+        """Return the model with the integral in the surface: u_fd weighs x̃ … x̃^(n−1)."""
+        gain = self.design.gain if gain is None else gain
+        weights = np.asarray(error_weights(self.gains.lambda_, self.order + 1))
+        return LayerModel((self.regressor_count + 1,), np.eye(1),
+                          self.period * np.eye(1, self.order), -gain * weights[:1],
+                          -gain * weights[1:] - self.gains.phi_0 * weights[:-1])
+
     def initial_memory(self) -> tuple[float, ...]:
         """θ̂(0), φ̂(0), I = 0."""
         return (*super().initial_memory(), 0.0)
 
     @staticmethod
-    def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],
-               x: Sequence[float], y: Sequence[float], dt: float, new_memory: Any,
-               terms: Any) -> float:
+    def kernel(c: Numbers, memory: Numbers, x_d: Numbers, x: Numbers, y: Numbers,
+               dt: float, new_memory: Any, terms: Any) -> float:
         """One sample."""
         n = len(x)
         integral = len(y) + 1
         s = c[5 + 2 * n] * memory[integral] + filtered_error(c, 5, x_d, x)
         u_fd = feed_forward(c, 5 + n, x_d, x)
         v = control(c[0], c[1], c[2], memory, s, u_fd, y, terms)
-        adapt(c[3], c[4], memory, y, u_fd, terms[1], dt, new_memory)
+        adapt(c[3], c[4], memory, y, u_fd, terms[S_EPS], dt, new_memory)
         new_memory[integral] = memory[integral] + dt * (x[0] - x_d[0])
-        for i in range(len(memory)):
-            terms[STATUS + 1 + i] = memory[i]
+        publish(memory, STATUS + 1, terms)
         terms[STATUS] = 0.0
         return v

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Surge speed of an underwater vehicle: a first-order lag with linear and quadratic drag.
 
     (m + m_a) u' + d_1 u + d_2 |u| u + F_w sin ω_w t = w
@@ -43,6 +44,7 @@ class FirstOrder(Plant):
     regressor_count = 2
     state_units = ('m/s',)
     actuator_unit = 'N'
+    regressor_units = ('m/s', 'm²/s²')
     default_x0 = (0.0,)
     Parameters = SurgeParameters
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Inverted pendulum: a mass on a rod, held by a torque at the pivot.
 
     m l² q'' + k l² q' − m g l sin q + m l h cos q = w,    h = h_0 sin ω_h t
@@ -45,6 +46,7 @@ class Pendulum(Plant):
     regressor_count = 2
     state_units = ('rad', 'rad/s')
     actuator_unit = 'N m'
+    regressor_units = ('1', 'rad/s')
     default_x0 = (0.3, 0.0)
     Parameters = PendulumParameters
 

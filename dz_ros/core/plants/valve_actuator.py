@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Electro-hydraulic actuator: a valve moves a cylinder that carries a mass against a spring.
 
     x/w = K_v ω_0² / ((p + ω_r)(p² + 2 δ_0 ω_0 p + ω_0²))                     p = d/dt
@@ -46,6 +47,7 @@ class ValveActuator(Plant):
     regressor_count = 3
     state_units = ('m', 'm/s', 'm/s²')
     actuator_unit = 'V'
+    regressor_units = ('m', 'm/s', 'm/s²')
     default_x0 = (0.0, 0.0, 0.0)
     Parameters = ValveActuatorParameters
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The example plant of Wang, Su and Hong (2004), (19) as printed [wang2004].
 
     x'' = a1 (1 − e^−x)/(1 + e^−x) − a2 (x² + 2x) sin x − 0.5 a3 x sin 3t + b w
@@ -21,10 +22,10 @@ from dz_ros.core.schema import parameter
 class ExampleParameters:
     """Parameters of (19); the values are the paper's."""
 
-    a1: float = parameter(1.0, '1', 'weight of the first nonlinearity')
-    a2: float = parameter(1.0, '1', 'weight of the second nonlinearity')
-    a3: float = parameter(1.0, '1', 'weight of the disturbance 0.5 a3 x sin 3t')
-    b: float = parameter(1.0, '1', 'input gain', minimum=0.0, open_minimum=True)
+    a1: float = parameter(1.0, '1/s²', 'weight of the first nonlinearity')
+    a2: float = parameter(1.0, '1/s²', 'weight of the second nonlinearity')
+    a3: float = parameter(1.0, '1/s²', 'weight of the disturbance 0.5 a3 x sin 3t')
+    b: float = parameter(1.0, '1/s²', 'input gain', minimum=0.0, open_minimum=True)
 
 
 class Wang2004(Plant):
@@ -36,6 +37,7 @@ class Wang2004(Plant):
     regressor_count = 2
     state_units = ('1', '1/s')
     actuator_unit = '1'
+    regressor_units = ('1', '1')
     default_x0 = (-2.5, 3.5)
     Parameters = ExampleParameters
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The example plant with the velocity in its second term [zhang_feng1997].
 
     x'' = a1 (1 − e^−x)/(1 + e^−x) − a2 (x'² + 2x) sin x' − 0.5 a3 x sin 3t + b w

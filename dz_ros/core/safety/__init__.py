@@ -1,1 +1,2 @@
-"""What keeps a loop safe: states, guards and the one gate every command goes through. No clock."""
+# SPDX-License-Identifier: Apache-2.0
+"""What keeps a loop safe: modes, guards and the command limiter. No clock."""

@@ -1,30 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
 """The controller's end of the loop: which states are answered, by the law or safely (ours).
 
-Every command of a controller comes out of a `ControllerGuard`, and each one has passed the gate.
-The twin of what ``nodes/controller_node.py`` does with its topics. Time is a steady clock [s].
+Every command of a controller comes from a `ControllerGuard` and has passed the command limiter.
+This is the ROS-free part of ``nodes/controller_node.py``. Time is a steady clock [s].
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+import math
+from typing import Any
 
+from dz_ros.core.axes import Rows, rows_maker
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.controller import Controller, ViolationError
-from dz_ros.core.records import Command, Reference, State, Terms
+from dz_ros.core.loop.controller import ViolationError
+from dz_ros.core.loop.controllers import controller_of
+from dz_ros.core.records import Reference, State
 from dz_ros.core.safety.actuator_guard import FRESH
-from dz_ros.core.safety.guards import FutureGuard, SequenceGuard, Verdict, Watchdog
+from dz_ros.core.safety.guards import (
+    FutureGuard,
+    ReferenceGuard,
+    SequenceGuard,
+    Verdict,
+    Watchdog,
+)
+from dz_ros.core.safety.modes import Action, Event, LifecycleState, Mode
 from dz_ros.core.safety.supervisor import Change, Supervisor
-from dz_ros.core.safety.table import Action, Event, Life, Mode
 
-Answer = tuple[Command, Terms]
+Answer = tuple[Any, Any]
+"""A `Command` and its `Terms`; of several axes rows of them."""
 REPEATS = 5
-"""The safe command is sent so often where nothing else follows."""
+"""Number of times the safe command is sent where nothing else follows."""
 SNAPSHOT = 1.0
-"""Estimates are kept for restoring after each of these [s] of running."""
+"""Interval at which estimates are kept for restoring, while running [s]."""
 
 
 class ControllerGuard:
-    """Guards the law against its inputs, and everybody against its commands.
+    """Guards the law against its inputs, and the actuator against its commands.
+
+    Of several axes, states, references and answers are `dz_ros.core.axes.Rows`; mode, sequence and
+    watchdogs are those of the machine.
 
     Args:
         configuration: Law, plant structure, period, limits.
@@ -34,17 +49,22 @@ class ControllerGuard:
 
     Attributes:
         controller: The law's bookkeeping.
-        supervisor: Life and mode.
-        state_guard, reference_guard: Judges of the messages.
+        supervisor: Lifecycle state and mode.
+        state_guard, reference_guard: Checks of the messages.
     """
 
     def __init__(self, configuration: Configuration,
                  changed: Callable[[Change], None] | None = None,
-                 begins: Callable[[int, tuple[float, ...]], None] | None = None) -> None:
-        self.controller = Controller(configuration)
+                 begins: Callable[[int, Any], None] | None = None) -> None:
+        axes = configuration.axis_names
+        count = max(1, len(axes))
+        self.controller = controller_of(configuration)
         self.supervisor = Supervisor(changed)
-        self.state_guard = SequenceGuard()
-        self.reference_guard = SequenceGuard()
+        self.state_guard = SequenceGuard(State.labels(0).index('echo_seq') - len(
+            State.labels(0)), axes)
+        self.reference_guard = ReferenceGuard(configuration.loop.period, axes)
+        self._state_of = rows_maker(State.from_numbers, count)
+        self._reference_of = rows_maker(Reference.from_numbers, count)
         self._begins = begins
         self._settings = configuration.safety
         self._period = configuration.loop.period
@@ -58,11 +78,13 @@ class ControllerGuard:
         self._repeats = 0
         self._snapshot_at = 0.0
         self._snapshots = (self.controller.memory, self.controller.memory)
-        self._state = State(-1, 0.0, ())
+        self._state: Any = State(-1, 0.0, ()) if count == 1 else Rows(
+            [State(-1, 0.0, ())] * count)
+        self._newest = math.inf     # stamp of the newest state taken [s]
 
     @property
     def lockstep(self) -> bool:
-        """Whether time is not the wall's."""
+        """Whether time is not the wall clock's."""
         return not self._watch
 
     def configure(self, configuration: Configuration) -> None:
@@ -72,54 +94,56 @@ class ControllerGuard:
 
     def reference(self, numbers: Sequence[float], now: float) -> bool:
         """Take a reference message; return whether it was."""
-        resync = self.lockstep or not self.supervisor.running
-        verdict = self.reference_guard.judge(numbers, now, resync)
-        if verdict is Verdict.TAKEN:
-            self.controller.set_reference(Reference.from_numbers(numbers))
-        return verdict is Verdict.TAKEN
+        taken = self.reference_guard.takes(numbers, now, self._newest,
+                                           self.lockstep or not self.supervisor.running)
+        if taken:
+            self.controller.set_reference(self._reference_of(numbers))
+        return taken
 
-    def take(self, numbers: Sequence[float], now: float) -> State | None:
+    def take(self, numbers: Sequence[float], now: float) -> Any:
         """Take a state message; return the state to be answered, None = not this one."""
         resync = not self.supervisor.running
         verdict = self.state_guard.judge(numbers, now, resync)
         if verdict not in (Verdict.TAKEN, Verdict.REPEATED):
             return None
-        state = State.from_numbers(numbers)
+        state = self._state_of(numbers)
         if verdict is Verdict.TAKEN and self._watch:
             if resync:
                 self._future.restart()
             if self._future.ahead(state.stamp, now, self._settings.state_hold * self._period):
                 self.state_guard.counts[Verdict.FUTURE] += 1
                 return None
+        self._newest = state.stamp
         # Before the loop's clock starts, sample 0 comes when it comes.
         if state.seq > 0:
             self._watchdog.feed(now)
         return state
 
-    def ready(self, state: State) -> bool:
+    def ready(self, state: Any) -> bool:
         """Whether a state can be answered: in lockstep it waits for its very own reference."""
         if self.lockstep:
-            return self.controller.has_reference_for(state)
-        return self.controller.has_reference
+            return bool(self.controller.has_reference_for(state))
+        return self.controller.has_reference and (self._begun or not self.reference_guard.early(
+            self.controller.newest_reference(), state.stamp))
 
-    def answer(self, state: State, now: float) -> Answer | None:
+    def answer(self, state: Any, now: float) -> Answer | None:
         """Return the answer to a state that is ready; None where it must not be answered."""
-        if self.supervisor.life is not Life.ACTIVE:
+        if self.supervisor.lifecycle_state is not LifecycleState.ACTIVE:
             return None
         self._state = state
-        trouble = self._trouble(state) if self._watch else ''
+        reason = self._input_fault(state) if self._watch else ''
         if self.supervisor.running:
-            if trouble:
+            if reason:
                 self._lost = now
-                self.supervisor.happen(Event.STALE, trouble)
-        elif ((self.supervisor.mode is Mode.WAITING or not trouble)
+                self.supervisor.happen(Event.STALE, reason)
+        elif ((self.supervisor.mode is Mode.WAITING or not reason)
                 and self.supervisor.happen(Event.INPUT) is Action.START):
             self._start(state, now)
         if not self.supervisor.running:
             self._expire(now)
-            return self.controller.safe_answer(state)
+            return self._safe_answer(state)
         try:
-            found = self.controller.respond(state)
+            found: Answer | None = self.controller.respond(state)
         except ViolationError as error:
             return self.fault(str(error))
         if now - self._snapshot_at > SNAPSHOT:
@@ -128,14 +152,14 @@ class ControllerGuard:
         return found
 
     def poll(self, now: float, senders: int = 1) -> Answer | None:
-        """Look at the clock; return a safe command that must be sent now, or None.
+        """Check for timeouts; return a safe command that must be sent now, or None.
 
         Args:
             now: Steady clock [s].
-            senders: How many publishers the graph shows, of states or of references, whichever
-                are more.
+            senders: Number of publishers in the graph, of states or of references, whichever are
+                more.
         """
-        if not self._watch or self.supervisor.life is not Life.ACTIVE:
+        if not self._watch or self.supervisor.lifecycle_state is not LifecycleState.ACTIVE:
             return None
         hold = self._settings.state_hold * self._period
         if self.supervisor.running and self._watchdog.older(now, hold):
@@ -151,16 +175,16 @@ class ControllerGuard:
         silent = self._watchdog.older(now, hold + self._repeats * self._period)
         if silent and self._repeats < REPEATS:
             self._repeats += 1
-            return self.controller.safe_answer(self._state)
+            return self._safe_answer(self._state)
         return None
 
     def fault(self, reason: str) -> Answer:
         """Latch a fault; return the safe command."""
         self.supervisor.happen(Event.FAULT, reason)
-        return self.controller.safe_answer(self._state)
+        return self._safe_answer(self._state)
 
     def estop(self, pressed: bool = True, reason: str = 'e-stop') -> Answer | None:
-        """Hear the e-stop pressed or released; return the safe command to send, if any."""
+        """Process a press or release of the e-stop; return the safe command to send, if any."""
         self._pressed = pressed
         if not pressed:
             return None
@@ -168,12 +192,12 @@ class ControllerGuard:
         return self.controller.safe_answer(self._state) if self._state.seq >= 0 else None
 
     def end(self) -> None:
-        """Hear that the plant stops in order."""
+        """Process the orderly stop of the plant."""
         self._watchdog.stop()
         self.supervisor.happen(Event.END)
 
     def transition(self, name: str) -> list[Answer]:
-        """Follow a transition of the life; return the safe commands to send, one by one.
+        """Follow a lifecycle transition; return the safe commands to send, one by one.
 
         Raises:
             LookupError: There is none of this name from the present state.
@@ -195,8 +219,8 @@ class ControllerGuard:
                 self._begins(self.controller.count, released)
             return ''
         if self._pressed:
-            return 'the e-stop is still pressed: publish false on estop first'
-        if self.supervisor.life is Life.ACTIVE and self._watch:
+            return 'the e-stop is still pressed'
+        if self.supervisor.lifecycle_state is LifecycleState.ACTIVE and self._watch:
             if self._watchdog.older(now, FRESH * self._period):
                 return 'no state arrives: start the plant or the driver first'
             if self._overdue(self._state):
@@ -206,12 +230,13 @@ class ControllerGuard:
         self.supervisor.happen(Event.RESET)
         return ''
 
-    def _start(self, state: State, now: float) -> None:
+    def _start(self, state: Any, now: float) -> None:
         """Let the law take over from the present state."""
         memory = self.controller.memory
         if self._begun:
             memory = {'keep': memory, 'reset': self.controller.law.initial_memory(),
                       'restore': self._snapshots[0]}[self._settings.estimates]
+            memory = self.controller.law.take_over(memory)
         self._begun = True
         self._first_seq = state.seq
         self._snapshot_at = now
@@ -220,7 +245,11 @@ class ControllerGuard:
         if self._begins is not None:
             self._begins(self.controller.count, memory)
 
-    def _trouble(self, state: State) -> str:
+    def _safe_answer(self, state: Any) -> Answer:
+        answer: Answer = self.controller.safe_answer(state)
+        return answer
+
+    def _input_fault(self, state: Any) -> str:
         """Return what keeps the law from answering this state, empty if nothing does."""
         if self._overdue(state):
             return 'no reference'
@@ -230,7 +259,7 @@ class ControllerGuard:
             return 'the actuator does not take the commands'
         return ''
 
-    def _overdue(self, state: State) -> bool:
+    def _overdue(self, state: Any) -> bool:
         """Whether the newest reference is too old for a state."""
         hold = self._settings.reference_hold * self._period
         return hold > 0.0 and state.stamp - self.controller.newest_reference() > hold + 1e-9

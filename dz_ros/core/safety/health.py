@@ -1,24 +1,25 @@
-"""How an end of the loop has been in the last window, as labels and numbers (ours).
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnostics of an end of the loop over the last window, as labels and numbers (ours).
 
-Nothing here knows a clock or a message: samples go in, a `Report` comes out and the window begins
-anew. Totals since the start go on counting.
+Nothing here reads a clock or a message: samples go in, a `Report` comes out and the window begins
+again. Totals since the start go on counting.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 import enum
 import math
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.records import Status, Terms
+from dz_ros.core.safety.modes import LifecycleState, Mode
 from dz_ros.core.safety.supervisor import Supervisor
-from dz_ros.core.safety.table import Life, Mode
+from dz_ros.core.signals import S, V_FEED_FORWARD, V_REGRESSOR
+from dz_ros.core.statistics import LATE, percentile
 from dz_ros.core.tracking import guaranteed_bounds
 
-LATE = 0.001
-"""A sample later than this counts as late [s]."""
 LATE_SHARE, SATURATED_SHARE, CHATTER = 0.05, 0.2, 3.0
 """More than this is worth a warning: share of late samples, of saturated ones, of variation over
 the expected one."""
@@ -34,11 +35,11 @@ class Level(enum.IntEnum):
 
 @dataclass
 class Report:
-    """What is said of a node once a second.
+    """Diagnostics of a node, once a second.
 
     Attributes:
         level: The worst that was found.
-        message: What, in words.
+        message: The findings, as text.
         values: Label with its unit in brackets → number or text.
     """
 
@@ -46,10 +47,18 @@ class Report:
     message: str = ''
     values: dict[str, str] = field(default_factory=dict)
 
-    def say(self, level: Level, message: str) -> None:
+    def summarize(self, level: Level, message: str) -> None:
         """Add a finding; the worst level leads."""
         self.message = f'{self.message}; {message}' if self.message else message
         self.level = max(self.level, level)
+
+    def add(self, fill: Callable[[Report], None], name: str) -> None:
+        """Add a report of one axis, which `fill` writes, with its name before each label."""
+        own = Report()
+        fill(own)
+        self.values.update((f'{name}: {label}', text) for label, text in own.values.items())
+        if own.message:
+            self.summarize(own.level, f'{name}: {own.message}')
 
     def put(self, label: str, value: float | str | None, form: str = '.4g') -> None:
         """Add a value; None is left out."""
@@ -62,8 +71,7 @@ def percentiles(values: Sequence[float], report: Report, label: str) -> None:
     ordered = sorted(values)
     if ordered:
         for name, share in (('p50', 0.5), ('p99', 0.99), ('p99.9', 0.999), ('max', 1.0)):
-            place = min(len(ordered) - 1, int(share * len(ordered)))
-            report.put(f'{label} {name} [ms]', ordered[place] * 1e3, '.3f')
+            report.put(f'{label} {name} [ms]', percentile(ordered, share) * 1e3, '.3f')
 
 
 class Pace:
@@ -87,14 +95,14 @@ class Pace:
         self._last = now, stamp
 
     def report(self, report: Report, judged: bool) -> None:
-        """Add rate, periods and lateness; `judged` where they are the wall's."""
+        """Add rate, periods and lateness; `judged` where they are the wall clock's."""
         span = math.fsum(self._intervals)
         report.put('rate [Hz]', len(self._intervals) / span if span > 0.0 else 0.0, '.1f')
         percentiles(self._intervals, report, 'period')
         report.put('late by more than 1 ms', self.late, 'd')
         fresh = self.late - self._late_before
         if judged and self._intervals and fresh > LATE_SHARE * len(self._intervals):
-            report.say(Level.WARN, f'{fresh} of {len(self._intervals)} samples late')
+            report.summarize(Level.WARN, f'{fresh} of {len(self._intervals)} samples late')
         self._intervals.clear()
         self._late_before = self.late
 
@@ -110,8 +118,24 @@ class Rejections:
         for name, count in counts.items():
             report.put(f'ignored {name}', count, 'd')
             if count > self._before.get(name, 0):
-                report.say(Level.WARN, f'{count - self._before.get(name, 0)} ignored ({name})')
+                fresh = count - self._before.get(name, 0)
+                report.summarize(Level.WARN, f'{fresh} ignored ({name})')
         self._before = dict(counts)
+
+
+def variation_share(variation: float, expected: float, largest: float) -> float:
+    """Return how much more v varies in a window than the reference needs.
+
+    A command that only follows its feed-forward varies as that does; crossing the dead-zone adds
+    about once the command's own size. Chatter inside the layer, which no guard sees, shows here;
+    so does noise that the layer's gain passes on.
+
+    Args:
+        variation: Total variation of v.
+        expected: That of the feed-forward φ̂ u_fd + Yᵀθ̂.
+        largest: Largest |v|.
+    """
+    return variation / (expected + largest or 1.0)
 
 
 class LawHealth:
@@ -146,11 +170,11 @@ class LawHealth:
             self._saturated += bool(terms.status & Status.SATURATED)
         epsilon = self._epsilon if self._epsilon_at is None else terms.signals[self._epsilon_at]
         if epsilon > 0.0:
-            self._layer = max(self._layer, abs(terms.values[0]) / epsilon)
+            self._layer = max(self._layer, abs(terms.values[S]) / epsilon)
             if self._ratio > 0.0:
                 self._inside += abs(error) <= self._ratio * epsilon
         self._error = max(self._error, abs(error))
-        smooth = terms.values[4] + terms.values[5]
+        smooth = terms.values[V_FEED_FORWARD] + terms.values[V_REGRESSOR]
         if self._last is not None:
             self._variation += abs(v - self._last[0])
             self._expected += abs(smooth - self._last[1])
@@ -158,7 +182,7 @@ class LawHealth:
         self._last = v, smooth
 
     def report(self, report: Report) -> None:
-        """Add what the window has seen and begin anew."""
+        """Add the values of the window and begin the next window."""
         if self._samples:
             report.put('max |error|', self._error)
             report.put('max |v|', self._largest)
@@ -169,26 +193,26 @@ class LawHealth:
             saturated = self._saturated / self._samples
             report.put('saturated [%]', 100.0 * saturated, '.1f')
             if saturated > SATURATED_SHARE:
-                report.say(Level.WARN, f'saturated {100.0 * saturated:.0f} % of the time')
-            # A command that only follows its feed-forward varies as that does; crossing the
-            # dead-zone adds about once the command's own size.
-            chatter = self._variation / (self._expected + self._largest or 1.0)
+                report.summarize(Level.WARN, f'saturated {100.0 * saturated:.0f} % of the time')
+            chatter = variation_share(self._variation, self._expected, self._largest)
             report.put('variation of v over the expected', chatter)
             if chatter > CHATTER:
-                report.say(Level.WARN, f'chatter: v varies {chatter:.1f} times the expected')
+                report.summarize(Level.WARN,
+                                 f'chatter, or noise passed on: v varies {chatter:.1f} '
+                                 'times the expected')
         for item, count in self.freezes.items():
             name = str(item.name).lower().replace('_', ' ')
             report.put(f'frozen: {name} [samples]', count, 'd')
         self._clear()
 
 
-def say_state(report: Report, supervisor: Supervisor) -> None:
-    """Begin a report with life and mode; what is wrong comes first."""
-    report.put('state', supervisor.life.value)
+def summarize_state(report: Report, supervisor: Supervisor) -> None:
+    """Begin a report with lifecycle state and mode, and with what is wrong with them."""
+    report.put('state', supervisor.lifecycle_state.value)
     report.put('mode', supervisor.mode.value)
-    if supervisor.life is not Life.ACTIVE:
-        report.say(Level.WARN, supervisor.life.value)
+    if supervisor.lifecycle_state is not LifecycleState.ACTIVE:
+        report.summarize(Level.WARN, supervisor.lifecycle_state.value)
     if supervisor.mode in (Mode.LOST, Mode.FAULT, Mode.ESTOP):
-        report.say(Level.ERROR, f'{supervisor.mode.value}: {supervisor.reason}')
-    elif supervisor.life is Life.ACTIVE:
-        report.say(Level.OK, supervisor.mode.value)
+        report.summarize(Level.ERROR, f'{supervisor.mode.value}: {supervisor.reason}')
+    elif supervisor.lifecycle_state is LifecycleState.ACTIVE:
+        report.summarize(Level.OK, supervisor.mode.value)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Limits and watchdogs of both ends of the loop, the section ``safety`` of a configuration (ours).
 
 All of them are off, or far from a healthy loop, by default: a healthy run is the same with and
@@ -14,7 +15,7 @@ from dz_ros.errors import ConfigurationError
 
 @dataclass(frozen=True)
 class SafetySettings:
-    """Limits and watchdogs; 0 = off unless said otherwise."""
+    """Limits and watchdogs; 0 = off unless stated otherwise."""
 
     safe_command: float = parameter(0.0, 'actuator unit', 'command where the law must not act')
     command_limit: float = parameter(0.0, 'actuator unit', 'largest |v| that leaves the '
@@ -25,23 +26,25 @@ class SafetySettings:
                             "the law's, whenever the law takes over; 0 = at once", minimum=0.0)
     error_limit: float = parameter(0.0, 'unit of x', 'a larger |x - x_d| is a fault; 0 = off',
                                    minimum=0.0)
-    theta_limit: float = parameter(0.0, '1', 'a larger estimate |theta_i| is a fault; 0 = off',
-                                   minimum=0.0)
-    phi_limit: float = parameter(0.0, '1', 'a larger estimate |phi| is a fault; 0 = off',
-                                 minimum=0.0)
-    command_hold: int = parameter(3, 'samples', 'the actuator holds the last command so long, '
+    theta_limit: float = parameter(0.0, 'actuator unit per unit of Y_i', 'a larger '
+                                   'estimate |theta_i| is a fault; 0 = off', minimum=0.0)
+    phi_limit: float = parameter(0.0, 'actuator unit per unit of x^(n)', 'a larger '
+                                 'estimate |phi| is a fault; 0 = off', minimum=0.0)
+    runaway_time: float = parameter(0.5, 's', 'a device that gains speed against the command for '
+                                    'longer is a fault; 0 = off', minimum=0.0)
+    command_hold: int = parameter(3, 'samples', 'the actuator holds the last command that long, '
                                   'then takes the safe one; 0 = for ever', minimum=0,
                                   maximum=100000)
-    state_hold: int = parameter(3, 'samples', 'without a state for so long the controller sends '
+    state_hold: int = parameter(3, 'samples', 'without a state for that long the controller sends '
                                 'the safe command, without a measurement the actuator '
                                 'is in fault; 0 = never', minimum=0, maximum=100000)
-    reference_hold: int = parameter(20, 'samples', 'a reference is extrapolated for so long, then '
-                                    'the safe command is sent; 0 = for ever', minimum=0,
+    reference_hold: int = parameter(20, 'samples', 'a reference is extrapolated for that long, '
+                                    'then the safe command is sent; 0 = for ever', minimum=0,
                                     maximum=100000)
     echo_limit: int = parameter(20, 'samples', 'a command that answers an older state is not '
                                 'taken, nor a loop trusted that answers so late; 0 = off',
                                 minimum=0, maximum=100000)
-    fault_after: int = parameter(200, 'samples', 'input that stays away so long is a fault; '
+    fault_after: int = parameter(200, 'samples', 'input that stays away that long is a fault; '
                                  '0 = never', minimum=0, maximum=1000000)
     estimates: str = parameter('keep', '', 'estimates when the law takes over again: as they are, '
                                'as configured, or as they were 1 to 2 s before it was stopped',

@@ -1,11 +1,12 @@
-"""Keeps life and mode of one end of the loop, as the tables say, and remembers why."""
+# SPDX-License-Identifier: Apache-2.0
+"""Lifecycle state and mode of one end of the loop, by the tables of `modes`, and the reason."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from dz_ros.core.safety.table import Action, Event, LATCHED, LIFE, Life, Mode, MODES
+from dz_ros.core.safety.modes import Action, Event, LATCHED, LIFECYCLE, LifecycleState, Mode, MODES
 
 
 @dataclass(frozen=True)
@@ -16,7 +17,7 @@ class Change:
         mode: The mode now.
         earlier: The mode before.
         event: What happened.
-        reason: Why, in words; empty where the event says it all.
+        reason: Why, as text; empty where the event is reason enough.
     """
 
     mode: Mode
@@ -32,14 +33,14 @@ class Supervisor:
         changed: Called with each change of mode.
 
     Attributes:
-        life: Primary state of the node.
-        mode: What is let through while the life is ACTIVE.
+        lifecycle_state: Primary state of the node.
+        mode: Which command is passed on while the node is ACTIVE.
         reason: Why the mode is a latched one or LOST; else empty.
-        counts: Event → how often it changed something.
+        counts: Event → number of changes of mode by it.
     """
 
     def __init__(self, changed: Callable[[Change], None] | None = None) -> None:
-        self.life = Life.UNCONFIGURED
+        self.lifecycle_state = LifecycleState.UNCONFIGURED
         self.mode = Mode.WAITING
         self.reason = ''
         self.counts: dict[Event, int] = {}
@@ -48,7 +49,7 @@ class Supervisor:
     @property
     def running(self) -> bool:
         """Whether the law's commands may pass."""
-        return self.mode is Mode.RUNNING and self.life is Life.ACTIVE
+        return self.mode is Mode.RUNNING and self.lifecycle_state is LifecycleState.ACTIVE
 
     @property
     def latched(self) -> bool:
@@ -56,7 +57,7 @@ class Supervisor:
         return self.mode in LATCHED
 
     def happen(self, event: Event, reason: str = '') -> Action:
-        """Follow the table for an event; return what is to be done."""
+        """Change the mode by the table; return the action of the change."""
         found = MODES.get((self.mode, event))
         if found is None:
             return Action.NONE
@@ -72,14 +73,14 @@ class Supervisor:
         return action
 
     def transition(self, name: str) -> Action:
-        """Follow a transition of the life.
+        """Follow a lifecycle transition.
 
         Raises:
             LookupError: There is none of this name from the present state.
         """
-        if (self.life, name) not in LIFE:
-            raise LookupError(f'{name} is not possible while {self.life.value}')
-        life, event = LIFE[(self.life, name)]
+        if (self.lifecycle_state, name) not in LIFECYCLE:
+            raise LookupError(f'{name} is not possible while {self.lifecycle_state.value}')
+        state, event = LIFECYCLE[(self.lifecycle_state, name)]
         action = Action.NONE if event is None else self.happen(event)
-        self.life = life
+        self.lifecycle_state = state
         return action

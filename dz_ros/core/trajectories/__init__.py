@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Trajectories, one a file; `TRAJECTORIES` finds them by name."""
 
 from dz_ros.core.registry import Registry

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """What a trajectory is: x_d, x_d', …, x_d^(n) at any time, all from one closed form.
 
 The law needs every derivative up to the plant's order; none is ever formed by differences.
@@ -7,8 +8,11 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from functools import cached_property
 import math
 from typing import Any, ClassVar
+
+from dz_ros.core.schema import fields
 
 
 class Trajectory(ABC):
@@ -30,10 +34,11 @@ class Trajectory(ABC):
         self.parameters = self.Parameters() if parameters is None else parameters
         self.order = order
 
-    @property
-    @abstractmethod
+    @cached_property
     def constants(self) -> tuple[float, ...]:
-        """Flat numbers for `evaluate`."""
+        """Flat numbers for `evaluate`: the parameters in their order unless overridden."""
+        return tuple(float(getattr(self.parameters, item.attribute))
+                     for item in fields(self.Parameters))
 
     @staticmethod
     @abstractmethod

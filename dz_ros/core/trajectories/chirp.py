@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Linear sweep of frequency, faded in and out so that it starts and ends at rest (ours).
 
     x_d = offset + g(t) A sin q(t),   q = ω_1 t + (ω_2 − ω_1) t²/(2 D),   0 ≤ t ≤ D
@@ -37,11 +38,7 @@ class ChirpParameters:
     offset: float = parameter(0.0, 'unit of x', 'mean value, held after the sweep')
 
     def check(self, prefix: str) -> None:
-        """Check that rise and fall fit into the sweep.
-
-        Raises:
-            ConfigurationError: They do not.
-        """
+        """Check that rise and fall fit into the sweep."""
         if 2.0 * self.fade > self.duration:
             raise ConfigurationError(f'{prefix}fade', self.fade, 'must be at most half of '
                                      f'{prefix}duration = {self.duration:g} s')

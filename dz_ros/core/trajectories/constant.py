@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A constant set point, x_d = c."""
 
 from __future__ import annotations
@@ -23,11 +24,6 @@ class Constant(Trajectory):
     name = 'constant'
     summary = 'a set point that does not move'
     Parameters = ConstantParameters
-
-    @property
-    def constants(self) -> tuple[float, ...]:
-        """The value."""
-        return (self.parameters.value,)
 
     @staticmethod
     def evaluate(t: float, p: Sequence[float], x_d: Any) -> None:  # noqa: ARG004

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sum of sinusoids, x_d = offset + Σ A_j sin(ω_j t + φ_j): r sinusoids excite 2r parameters."""
 
 from __future__ import annotations
@@ -25,11 +26,7 @@ class MultisineParameters:
     offset: float = parameter(0.0, 'unit of x', 'mean value')
 
     def check(self, prefix: str) -> None:
-        """Check that the lists fit together.
-
-        Raises:
-            ConfigurationError: No frequency, or another number of amplitudes or phases.
-        """
+        """Check that the lists fit together."""
         count = len(self.frequencies)
         if count == 0:
             raise ConfigurationError(f'{prefix}frequencies', [], 'must have at least one number')
@@ -45,7 +42,7 @@ class Multisine(Trajectory):
     """x_d^(i) = Σ A_j ω_j^i sin(ω_j t + φ_j + i π/2)."""
 
     name = 'multisine'
-    summary = 'offset + sum of A sin(ωt + φ), rich enough to tell parameters apart'
+    summary = 'offset + sum of A sin(ωt + φ), rich enough to distinguish parameters'
     Parameters = MultisineParameters
 
     @property

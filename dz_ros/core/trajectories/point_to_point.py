@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From rest to rest along the smooth step, once or back and forth (ours).
 
     x_d = start + (goal − start) σ((t − t_start)/duration)
@@ -38,12 +39,6 @@ class PointToPoint(Trajectory):
     summary = 'smooth motion from rest to rest, once or back and forth'
     max_order = CONTINUOUS
     Parameters = PointToPointParameters
-
-    @property
-    def constants(self) -> tuple[float, ...]:
-        """Start, goal, start time, duration, 1 if it repeats, dwell."""
-        p = self.parameters
-        return (p.start, p.goal, p.t_start, p.duration, 1.0 if p.repeat else 0.0, p.dwell)
 
     @staticmethod
     def evaluate(t: float, p: Sequence[float], x_d: Any) -> None:

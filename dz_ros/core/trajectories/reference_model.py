@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A step, shaped by a critically damped reference model of one order more than the plant (ours).
 
     x_d = start + (goal − start) f(z),   f = 1 − e^−z Σ_{i<N} z^i/i!,   z = ω (t − t_start)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Sinusoid x_d = offset + A sin(ω t + φ); A = 2.5, ω = 1 are the paper's [wang2004]."""
 
 from __future__ import annotations
@@ -27,12 +28,6 @@ class Sinusoid(Trajectory):
     name = 'sinusoid'
     summary = 'offset + A sin(ωt + φ); the paper tracks 2.5 sin t'
     Parameters = SinusoidParameters
-
-    @property
-    def constants(self) -> tuple[float, ...]:
-        """Amplitude, frequency, phase, offset."""
-        p = self.parameters
-        return (p.amplitude, p.frequency, p.phase, p.offset)
 
     @staticmethod
     def evaluate(t: float, p: Sequence[float], x_d: Any) -> None:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The smooth step from 0 to 1 that other trajectories are made of (ours).
 
     σ(u) = 126 u⁵ − 420 u⁶ + 540 u⁷ − 315 u⁸ + 70 u⁹,   σ'(u) = 630 u⁴ (1 − u)⁴,   0 ≤ u ≤ 1
@@ -15,12 +16,7 @@ _COEFFICIENTS = (126.0, -420.0, 540.0, -315.0, 70.0)
 
 
 def smooth_step(u: float, derivative: int) -> float:
-    """Return σ or its derivative with respect to u; 0 before u = 0, the step done after u = 1.
-
-    Args:
-        u: Where, 1 = end of the step.
-        derivative: 0 for σ itself, 1 for σ', ….
-    """
+    """Return σ (derivative 0) or its derivative at u; 0 before u = 0, the step after u = 1."""
     if u <= 0.0:
         return 0.0
     if u >= 1.0:

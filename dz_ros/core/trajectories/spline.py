@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Interpolating spline of degree 2n + 1 that starts and ends at rest.
 
 Of all curves through (t_k, x_k) with x', …, x^(n) zero at both ends, the one with the least
@@ -21,12 +22,7 @@ Array = NDArray[np.float64]
 def spline(times: Sequence[float], positions: Sequence[float], order: int) -> Array:
     """Return the pieces of the smoothest curve, shape (points − 1, 2·order + 2).
 
-    Piece k is Σ_j c_kj u^j with u = (t − t_k)/(t_{k+1} − t_k).
-
-    Args:
-        times: t_k [s], increasing.
-        positions: x_k.
-        order: n ≥ 1.
+    Piece k is Σ_j c_kj u^j with u = (t − t_k)/(t_{k+1} − t_k); times t_k increase, order n ≥ 1.
     """
     n = order
     t, x = np.asarray(times, dtype=float), np.asarray(positions, dtype=float)
@@ -58,11 +54,7 @@ def spline(times: Sequence[float], positions: Sequence[float], order: int) -> Ar
 
 
 def _piece(n: int) -> tuple[Array, Array, Array]:
-    """Return maps from a piece's end values (value … n-th derivative at u = 0, at u = 1).
-
-    To its coefficients, shape (2n + 2, 2n + 2), and to its derivatives n + 1 … 2n at u = 0 and at
-    u = 1, shape (n, 2n + 2).
-    """
+    """Return maps from end values of a piece to coefficients, derivatives n + 1 … 2n at ends."""
     size = 2 * n + 2
     falling = np.array([[float(math.perm(j, m)) for j in range(size)] for m in range(size)])
     at_zero = np.diag(np.diag(falling))

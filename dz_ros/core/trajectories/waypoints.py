@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The smoothest curve through given points, from rest to rest (ours).
 
 Of all curves through (t_k, x_k) that start and end at rest, the one with the least
@@ -32,12 +33,7 @@ class WaypointsParameters:
                              structural=True)
 
     def check(self, prefix: str) -> None:
-        """Check that there are points, in order.
-
-        Raises:
-            ConfigurationError: A file that nobody has read, too few points, as many times as
-                positions missing, times not increasing, or a repetition with a jump.
-        """
+        """Check that there are points, in order, and a repetition without a jump."""
         if self.file and not self.times:
             raise ConfigurationError(f'{prefix}file', self.file, 'has not been read; give '
                                      f'{prefix}times and {prefix}positions here')

@@ -1,14 +1,16 @@
-"""The bus with one drive on it: SDO, NMT and what the drive sends, kept for whoever asks (ours).
+# SPDX-License-Identifier: Apache-2.0
+"""The bus with one drive on it: SDO, NMT and what the drive sends, kept for its readers (ours).
 
 canopen's receiving thread calls the ``_on_…`` methods; the newest measurement is one immutable
 value that they exchange as a whole, so a reader needs no lock. What goes wrong is kept until
-`forget_trouble`: the first trouble is the one that is told.
+`forget_fault`: the first fault is the one reported.
+
+Over 300 lines: what one thread receives and the others read, in one place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 import math
 import struct
 import threading
@@ -17,41 +19,36 @@ from typing import Any
 
 from dz_ros.drivers.cia402 import objects
 from dz_ros.drivers.cia402.connection import bus_errors, connect, Watcher
-from dz_ros.drivers.cia402.scaling import Scaling, Unwrap
+from dz_ros.drivers.cia402.measurement import (
+    Answers,
+    Measurement,
+    Position,
+    REPEATED,
+    Repeats,
+)
+from dz_ros.drivers.cia402.scaling import Scaling
 from dz_ros.drivers.cia402.sdo import Sdo
 from dz_ros.drivers.cia402.settings import Cia402Parameters
 from dz_ros.drivers.cia402.setup import configure
-from dz_ros.drivers.cia402.states import DriveState, state_of
+from dz_ros.drivers.cia402.states import DriveState, Promises, state_of
 from dz_ros.errors import DriverError
 
-START, STOP, PRE_OPERATIONAL, RESET = 0x01, 0x02, 0x80, 0x81
+START, STOP, PRE_OPERATIONAL, RESET, RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
 """NMT commands."""
-OPERATIONAL = 5
-NMT_STATES = {0: 'boot-up', 4: 'stopped', 5: 'operational', 127: 'pre-operational'}
+BOOTED, STOPPED, OPERATIONAL, PREPARED = 0, 4, 5, 127
+"""NMT states, as in heartbeats."""
+NMT_STATES = {BOOTED: 'boot-up', STOPPED: 'stopped', OPERATIONAL: 'operational',
+              PREPARED: 'pre-operational'}
+_LEADS_TO = {STOP: STOPPED, PRE_OPERATIONAL: PREPARED, RESET: BOOTED, RESET_COMMUNICATION: BOOTED}
 NMT, SYNC, EMCY, HEARTBEAT = 0, 0x80, 0x80, 0x700
 BUS_OFF = 0x40
 """Bit of the identifier of an error frame, as Linux numbers them."""
 _AWAKE = 0.03
-"""Whoever looks at the heartbeat less often than this was asleep [s]."""
-
-
-@dataclass(frozen=True)
-class Measurement:
-    """What the drive said in answer to one SYNC.
-
-    Attributes:
-        x: Position [unit of x].
-        speed: Velocity [unit of x/s]; nan where the drive does not send it.
-        synced_at: When the SYNC went out that it answers, by the steady clock [s].
-        at: When it was complete [s].
-        torque: Torque over the rated one; nan where the drive does not send it.
-    """
-
-    x: float
-    speed: float
-    synced_at: float
-    at: float
-    torque: float = math.nan
+"""A process that checks the heartbeat less often than this was asleep [s]."""
+SWING = 0.05
+"""Change of the target, of the largest one, that shows in the torque of a drive."""
+_MALFORMED = 10
+"""PDOs of another length in a row that are another mapping, not noise."""
 
 
 class DriveBus:
@@ -64,37 +61,54 @@ class DriveBus:
     Attributes:
         measurement: The newest; None before the first.
         statusword: The newest; −1 before the first.
-        said_at: When it came [s].
+        received_at: When it came [s].
         synced_at: When the last SYNC went out [s].
         restarted: Whether it has booted since it was configured.
+        nmt_state: NMT state it is known to be in; None = not known.
+        left_at: When it was first known to have left NMT state operational [s].
+        mode: Mode of operation it reports; None = not known.
+        polls_mode: Whether the mode is in no PDO and must be asked for.
+        remarks: Permitted differences from its settings.
+        position: Its counter.
+        target: Target it was last sent.
+        network: canopen's, while open.
     """
 
     def __init__(self, parameters: Cia402Parameters, period: float) -> None:
         self.parameters = p = parameters
         self.measurement: Measurement | None = None
         self.statusword = -1
-        self.said_at = self.synced_at = -math.inf
+        self.received_at = self.synced_at = self.left_at = -math.inf
         self.restarted = False
+        self.nmt_state: int | None = None
+        self.mode: int | None = None
+        self.polls_mode = False
+        self.target = 0
+        self.remarks: tuple[str, ...] = ()
         self.place = f'{p.interface} {p.channel}, node {p.node_id}'
         self.command, self._first, self._second = objects.layout(
             p.mode, p.act_at == 'sync', p.velocity_measured)
         self.scaling = Scaling.of(p)
         self._period = period
-        self._unwrap = Unwrap()
-        self._position: int | None = None
-        self._nmt = 0
-        self._beat = self._watched_at = math.inf
-        self._trouble = ''
+        self.position = Position(float(p.counts_per_rev))
+        self._answers = Answers(1 if self._second is None else 2)
+        self._promises = Promises()
+        self._swing = SWING * self.scaling.largest
+        self._repeats = Repeats(self._swing)
+        self._started = False
+        self._malformed = [0, 0]
+        self._heartbeat_at = self._watched_at = math.inf
+        self._fault = ''
         self._lost = False
         self._news = threading.Condition()
-        self._network: Any = None
+        self.network: Any = None
         self._sdo: Sdo | None = None
         self._error: tuple[type[Exception], ...] = (OSError,)
 
     # The bus.
 
     def open(self) -> None:
-        """Connect to the bus; nothing is said to the drive.
+        """Connect to the bus; nothing is sent to the drive.
 
         Raises:
             MissingDependencyError: canopen or python-can is not installed.
@@ -105,16 +119,17 @@ class DriveBus:
         self._error = bus_errors()
         self._sdo = Sdo(network, p, self.place)
         network.subscribe(HEARTBEAT + p.node_id, self._on_heartbeat)
+        network.subscribe(NMT, self._on_nmt)
         network.subscribe(EMCY + p.node_id, self._on_emcy)
         network.subscribe(self._first.cob_id(p.node_id), self._on_first)
         if self._second is not None:
             network.subscribe(self._second.cob_id(p.node_id), self._on_second)
-        self._network = network
+        self.network = network
         self._lost = False
 
     def close(self) -> None:
-        """Leave the bus; the drive's own watchdogs stop it if nobody else has."""
-        network, self._network = self._network, None
+        """Leave the bus; the drive's own watchdogs stop it if it still runs."""
+        network, self.network = self.network, None
         if network is not None:
             try:
                 network.disconnect()
@@ -124,16 +139,16 @@ class DriveBus:
     def follow(self, earlier: DriveBus) -> None:
         """Know what was known at a connection that has gone: restarts, turns made."""
         self.restarted = earlier.restarted
-        self._unwrap = earlier._unwrap
+        self.position = earlier.position
 
     @property
     def broken(self) -> bool:
         """Whether the bus is not there, or has gone."""
-        return self._network is None or self._lost
+        return self.network is None or self._lost
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Send one frame; where the bus is gone that is a trouble, not an error."""
-        network = self._network
+        """Send one frame; where the bus is gone that is a fault, not an error."""
+        network = self.network
         if network is None:
             return
         try:
@@ -150,7 +165,7 @@ class DriveBus:
         Raises:
             DriverError: The bus was never opened, or has been left.
         """
-        if self._sdo is None or self._network is None:
+        if self._sdo is None or self.network is None:
             raise DriverError(f'{self.place}: not connected')
         return self._sdo
 
@@ -159,34 +174,62 @@ class DriveBus:
 
         Raises:
             DriverError: It does not answer, is no servo drive, has another motor, cannot do the
-                mode, or refuses a setting.
+                mode, refuses a setting, would not stop by itself.
         """
+        self._started = False
         self.nmt(PRE_OPERATIONAL)
         self.sdo.missing.clear()
-        configure(self.sdo, self.parameters, self.place, self._period,
-                  (self.command, self._first, self._second))
-        if self.restarted:
-            self._unwrap.forget()
+        p = self.parameters
+        found = configure(self.sdo, p, self.place, self._period, objects.layout(
+            p.mode, p.act_at == 'sync', p.velocity_measured))
+        self._first, self._second = found.first, found.second
+        self.polls_mode = found.polls_mode
+        self.remarks = found.remarks
+        if self.restarted or self.position.lost or self.position.modulus != found.modulus:
+            self.position = Position(float(p.counts_per_rev), found.modulus)
+        self._answers = Answers(1 if self._second is None else 2)
+        self._promises = Promises()
+        self._repeats = Repeats(self._swing)
         self.measurement = None
         self.statusword = -1
-        self._nmt = 0       # until it says that it is operational
-        self._beat = self._watched_at = time.monotonic()
+        self.mode = found.mode
+        self.nmt_state = None       # until it reports operational
+        self._malformed = [0, 0]
+        self._heartbeat_at = self._watched_at = time.monotonic()
         self.restarted = False
         self.nmt(START)
+        self._started = True
 
     @property
     def lacks(self) -> str:
-        """What the drive does not have of what can be done without, in words."""
+        """What the drive does not have of what can be done without, as text."""
         return '' if self._sdo is None else ', '.join(self._sdo.missing)
 
+    def leave(self) -> None:
+        """Stop the drive's communication, if it has no torque left to take away."""
+        self._started = False
+        if self.state not in (DriveState.ENABLED, DriveState.QUICK_STOP):
+            self.nmt(PRE_OPERATIONAL)
+
+    def sync(self) -> None:
+        """Send a SYNC."""
+        self.synced_at = time.monotonic()
+        self._answers.sync(self.synced_at)
+        self.send(SYNC, b'')
+        if self._answers.repeated >= REPEATED:
+            self.complain('more than one answer to each SYNC: does another node have the id '
+                          f'{self.parameters.node_id}?')
+
     def look_for_restart(self) -> None:
-        """Ask the drive whether it still has what it was told; it may have booted unheard.
+        """Read whether the drive still has its settings; its boot-up message may have been lost.
 
         Raises:
             DriverError: It does not answer.
         """
-        told = round(1000.0 * self.parameters.heartbeat)
-        if self.sdo.read(objects.PRODUCER_HEARTBEAT) != told:
+        if self.nmt_state == STOPPED:
+            self.nmt(PRE_OPERATIONAL)       # it takes no SDO before
+        period = round(1000.0 * self.parameters.heartbeat)
+        if self.sdo.read(objects.PRODUCER_HEARTBEAT) != period:
             self.restarted = True
 
     def nmt(self, command: int) -> None:
@@ -200,74 +243,144 @@ class DriveBus:
         """State the drive was last in; None = not known."""
         return None if self.statusword < 0 else state_of(self.statusword)
 
+    @property
+    def outside(self) -> bool:
+        """Whether it was operational and is known to be so no more: it takes no PDOs."""
+        return self._started and self.nmt_state not in (None, OPERATIONAL)
+
+    @property
+    def deaf(self) -> str:
+        """Why it cannot take a command, as far as is known; '' if it can."""
+        if self.broken:
+            return 'there is no connection to the bus'
+        silent = time.monotonic() - self._heartbeat_at
+        if silent > self.parameters.heartbeat_hold:
+            return f'the drive is silent for {silent:.1f} s'
+        if self.outside:
+            return f'the drive is in NMT state {NMT_STATES.get(self.nmt_state or 0, "unknown")}'
+        return ''
+
+    def take_status(self, word: int) -> None:
+        """Take a statusword, however it came."""
+        with self._news:
+            self.statusword, self.received_at = word, time.monotonic()
+            self._news.notify_all()
+
+    def take_mode(self, mode: int) -> None:
+        """Take a mode of operation; another than was asked for is a fault."""
+        self.mode = mode
+        wanted = objects.MODES[self.parameters.mode]
+        if mode != wanted and self._started:
+            self.complain(f'the drive is in another mode: {objects.MODE_DISPLAY} = {mode}, not '
+                          f'{wanted}')
+
     def wait_for_status(self, ready: Callable[[], bool], limit: float) -> bool:
-        """Wait until the drive has said what makes `ready` true; return whether it has."""
+        """Wait until a statusword makes `ready` true; return whether one has."""
         with self._news:
             return self._news.wait_for(ready, limit)
 
     def watch(self, now: float) -> None:
         """Look, often, whether the heartbeat has stayed away at `now` [s].
 
-        Time in which nobody looked is not counted: this process slept, and so did its receiver.
+        Time without a check is not counted: this process slept, and so did its receiver.
         """
         slept = now - self._watched_at
         self._watched_at = now
-        if slept > _AWAKE and self._beat < now:
-            self._beat = min(self._beat + slept, now)
-        if now - self._beat > self.parameters.heartbeat_hold:
+        if slept > _AWAKE and self._heartbeat_at < now:
+            self._heartbeat_at = min(self._heartbeat_at + slept, now)
+        if now - self._heartbeat_at > self.parameters.heartbeat_hold:
             self.complain(f'no heartbeat for {self.parameters.heartbeat_hold:g} s')
 
     @property
-    def trouble(self) -> str:
+    def fault(self) -> str:
         """The first thing that went wrong, or ''."""
-        return self._trouble
+        return self._fault
 
     def complain(self, text: str) -> None:
-        """Keep a trouble; the first one counts."""
+        """Keep a fault; the first one counts."""
         with self._news:
-            self._trouble = self._trouble or text
+            self._fault = self._fault or text
             self._news.notify_all()
 
-    def forget_trouble(self) -> None:
-        """Begin anew."""
-        self._trouble = ''
+    def complain_if(self, text: str) -> None:
+        """Keep a fault, if it is one."""
+        if text:
+            self.complain(text)
+
+    def forget_fault(self) -> None:
+        """Start again."""
+        self._fault = ''
 
     # What canopen's thread brings.
 
     def _on_first(self, _identifier: int, data: bytearray, _stamp: float) -> None:
-        if len(data) < 6:
-            return
-        word, counts = struct.unpack_from(self._first.form, data)
-        self._nmt = OPERATIONAL     # in every other state it sends no PDOs
-        with self._news:
-            self.statusword, self.said_at = word, time.monotonic()
-            self._news.notify_all()
-        self._position = self._unwrap(counts)
-        if self._second is None:
-            self.measurement = Measurement(self.scaling.x(self._position), math.nan,
-                                           self.synced_at, time.monotonic())
+        self._take(0, self._first, data)
 
     def _on_second(self, _identifier: int, data: bytearray, _stamp: float) -> None:
-        position, self._position = self._position, None
-        if self._second is None or position is None or len(data) < 6:
+        if self._second is not None:
+            self._take(1, self._second, data)
+
+    def _take(self, stream: int, pdo: objects.Pdo, data: bytearray) -> None:
+        if not self._started:
+            return      # of the settings before
+        if len(data) != struct.calcsize(pdo.form):
+            self._malformed[stream] += 1
+            if self._malformed[stream] >= _MALFORMED:
+                self.complain(f'{pdo.name} has {len(data)} bytes, not '
+                              f'{struct.calcsize(pdo.form)}: its mapping was changed')
             return
-        speed, torque = struct.unpack_from(self._second.form, data)
-        self.measurement = Measurement(self.scaling.x(position), self.scaling.speed(speed),
-                                       self.synced_at, time.monotonic(), torque / 1000.0)
+        self._malformed[stream] = 0
+        values = struct.unpack(pdo.form, data)
+        self.nmt_state = OPERATIONAL        # in every other state it sends no PDOs
+        if stream == 0:
+            self.take_status(values[0])
+            self.complain_if(self._promises.look(values[0]))
+            if len(values) > 2:
+                self.take_mode(values[2])
+        whole = self._answers.take(stream, values)
+        if whole is not None:
+            self._measure(*whole)
+
+    def _measure(self, synced_at: float, answers: Sequence[tuple[int, ...]]) -> None:
+        """Make a measurement of the answers to one SYNC."""
+        number, torque = map(float, answers[1] if len(answers) > 1 else (math.nan, math.nan))
+        speed = number * self.scaling.counts_per_number
+        counts, wrong = self.position.follow(answers[0][1], speed, synced_at)
+        wrong = wrong or self._repeats.look(answers, speed, synced_at, self.target)
+        if counts is None or wrong:
+            self.complain_if(wrong)
+            return
+        self.measurement = Measurement(
+            self.scaling.x(counts), self.scaling.speed(number), synced_at, time.monotonic(),
+            torque / 1000.0)
+
+    def _on_nmt(self, _identifier: int, data: bytearray, _stamp: float) -> None:
+        """Take another master's NMT command; our own, where the bus brings them, are before it."""
+        if (self._started and len(data) >= 2 and data[1] in (0, self.parameters.node_id)
+                and data[0] in _LEADS_TO):
+            self._left(_LEADS_TO[data[0]], ', commanded by another master')
 
     def _on_heartbeat(self, _identifier: int, data: bytearray, _stamp: float) -> None:
         if not data:
             return
         state = data[0] & 0x7F
-        if state == 0:
+        self._heartbeat_at = time.monotonic()
+        if state == BOOTED:
             self.restarted = True
             self.complain('the drive has restarted')
-        elif state == OPERATIONAL:
-            self._nmt = OPERATIONAL
-        elif self._nmt == OPERATIONAL:
+            self.nmt_state = state
+        elif state == OPERATIONAL or (self._started and self.nmt_state is not None):
+            self._left(state)
+
+    def _left(self, state: int, why: str = '') -> None:
+        """Take the NMT state it is in."""
+        if state != OPERATIONAL and self.nmt_state in (None, OPERATIONAL):
+            self.left_at = time.monotonic()
+        self.nmt_state = state
+        if state != OPERATIONAL:
             name = NMT_STATES.get(state, str(state))
-            self.complain(f'the drive has left NMT state operational: {name}')
-        self._beat = time.monotonic()
+            self.complain(f'the drive has left NMT state operational: {name}{why}; it takes no '
+                          'commands, the safe one included')
 
     def _on_emcy(self, _identifier: int, data: bytearray, _stamp: float) -> None:
         if len(data) < 3:
@@ -286,6 +399,6 @@ class DriveBus:
             self.complain('bus off: too many errors on the CAN bus')
 
     def _on_bus_error(self, error: BaseException) -> None:
-        if self._network is not None:
+        if self.network is not None:
             self._lost = True
             self.complain(f'the bus has gone: {" ".join(str(error).split())}')

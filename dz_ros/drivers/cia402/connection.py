@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Connecting to a CAN bus, for the driver and for the simulated drive."""
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def connect(p: Cia402Parameters, *listeners: Any) -> Any:
             logger.addHandler(logging.NullHandler())
     network = canopen.Network()
     network.NOTIFIER_CYCLE = NOTIFIER_CYCLE
-    network.listeners.extend(listeners)
+    network.listeners[:] = [_standard_frames(network), *listeners]
     refusals: tuple[type[Exception], ...] = (*bus_errors(), ValueError, TypeError, ImportError)
     try:
         network.connect(interface=p.interface, channel=p.channel, bitrate=p.bitrate, **p.options)
@@ -55,8 +56,20 @@ def connect(p: Cia402Parameters, *listeners: Any) -> Any:
     return network
 
 
+def _standard_frames(network: Any) -> Any:
+    """Return canopen's receiver for frames of 11 bits alone: it mixes them with those of 29."""
+    receiver: Any = type(network.listeners[0])
+
+    class StandardFrames(receiver):     # type: ignore[misc]
+        def on_message_received(self, msg: Any) -> None:
+            if not msg.is_extended_id:
+                super().on_message_received(msg)
+
+    return StandardFrames(network)
+
+
 class Watcher:
-    """Hears error frames and failures of the receiving thread.
+    """Receives error frames and failures of the receiving thread.
 
     python-can calls listeners with each message, and `on_error` with what ends its thread.
     """
@@ -67,11 +80,11 @@ class Watcher:
         self._failure = failure
 
     def __call__(self, message: Any) -> None:
-        """Hear a message."""
+        """Take a message."""
         if message.is_error_frame:
             self._frame(message.arbitration_id)
 
     def on_error(self, error: Exception) -> None:
-        """Hear that receiving failed; it is tried again a little later."""
+        """Note that receiving failed; it is tried again a little later."""
         self._failure(error)
         time.sleep(NOTIFIER_CYCLE)

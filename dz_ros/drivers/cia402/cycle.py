@@ -1,11 +1,12 @@
+# SPDX-License-Identifier: Apache-2.0
 """The thread that talks to the drive in each cycle, so that the loop never waits (ours).
 
     each command          RPDO at once
     once in a period      RPDO, if there was no command, then SYNC `lead` before the next sample
     each heartbeat        ours
 
-The phase of the samples is learnt from when the loop says that one ends, `Phase`. A loop that says
-nothing for `command_hold` while the drive is enabled gets a quick stop, as long as it is silent.
+The phase of the samples is learnt from the times at which they end, `Phase`. A loop that is silent
+for `command_hold` while the drive is enabled gets a quick stop, as long as it is silent.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ import struct
 import threading
 import time
 
-from dz_ros.drivers.cia402.bus import DriveBus, HEARTBEAT, OPERATIONAL, SYNC
+from dz_ros.drivers.cia402.bus import DriveBus, HEARTBEAT, OPERATIONAL
 from dz_ros.drivers.cia402.states import Controlword, DriveState, Goal, Walk
 
 _RESET_TIME = 0.05
-"""The fault reset is asked for anew after this [s]: it is the edge that counts."""
+"""The fault reset is asked for again after this [s]: it is the edge that counts."""
 
 
 class Phase:
@@ -31,17 +32,17 @@ class Phase:
     """
 
     EARLIER, LATER = 0.3, 0.02
-    ANEW = 1.0
-    """Loop time that is off by more than this has begun anew [s]."""
+    RESTART = 1.0
+    """Loop time that is off by more than this has restarted [s]."""
 
     def __init__(self, period: float) -> None:
         self._period = period
         self._zero: float | None = None
 
-    def hear(self, now: float, t: float) -> float:
-        """Hear at `now` that a sample ends at loop time t [s]; return when that was [s]."""
+    def sample_ended(self, now: float, t: float) -> float:
+        """Note at `now` that a sample ends at loop time t [s]; return when that was [s]."""
         off = math.inf if self._zero is None else now - t - self._zero
-        if self._zero is None or abs(off) > self.ANEW:
+        if self._zero is None or abs(off) > self.RESTART:
             self._zero = now - t
         else:
             self._zero += off * (self.EARLIER if off < 0.0 else self.LATER)
@@ -62,6 +63,7 @@ class Cycle:
         clock: Steady clock [s].
 
     Attributes:
+        walk: The way to the goal.
         silences: How often the loop has been silent for too long.
         round_trips: From each SYNC to its answer [s], since they were last taken.
     """
@@ -74,19 +76,19 @@ class Cycle:
         self._bus = bus
         self._period = period
         self._lead = min(p.sync_lead, period)
-        self._beat_period = p.heartbeat
+        self._heartbeat_period = p.heartbeat
         self._hold = p.command_hold
         self._clock = clock
         self._form = bus.command.form
         self._identifier = bus.command.cob_id(p.node_id)
-        self._walk = Walk(p.transition_limit)
+        self.walk = Walk(p.transition_limit)
         self._phase = Phase(period)
         self._changed = threading.Condition()
         self._goal, self._target, self._watched = Goal.OFF, 0, False
         self._fresh = False
         self._silent = False
         self._resetting = False
-        self._heard = clock()
+        self._loop_at = clock()
         self._stop = False
         self._thread = threading.Thread(target=self._run, name='cia402', daemon=True)
 
@@ -114,18 +116,28 @@ class Cycle:
         with self._changed:
             self._fresh = self._fresh or target is not None or goal is not self._goal
             self._goal, self._target, self._watched = goal, target or 0, target is not None
-            self._heard = self._clock()
+            self._loop_at = self._clock()
             self._changed.notify()
 
-    def hear(self, t: float) -> float:
-        """Hear that a sample ends at loop time t [s]; return when, by the clock [s]."""
+    @property
+    def goal(self) -> Goal:
+        """What the drive is wanted to be by now."""
+        return self.walk.goal
+
+    @property
+    def since(self) -> float:
+        """Since when [s]."""
+        return self.walk.since
+
+    def sample_ended(self, t: float) -> float:
+        """Note that a sample ends at loop time t [s]; return when, by the clock [s]."""
         now = self._clock()
         with self._changed:
-            self._heard = now
-            return self._phase.hear(now, t)
+            self._loop_at = now
+            return self._phase.sample_ended(now, t)
 
     def reset_fault(self, on: bool) -> None:
-        """Ask the drive to leave its fault, again and again until told not to."""
+        """Ask the drive to leave its fault, again and again until `on` is False."""
         with self._changed:
             self._resetting = on
             self._fresh = True
@@ -134,10 +146,10 @@ class Cycle:
     # The thread.
 
     def _run(self) -> None:
-        next_sync = next_beat = self._clock()
+        next_sync = next_heartbeat = self._clock()
         while True:
             with self._changed:
-                due = min(next_sync, next_beat)
+                due = min(next_sync, next_heartbeat)
                 self._changed.wait_for(lambda: self._fresh or self._stop,
                                        max(0.0, due - self._clock()))
                 if self._stop:
@@ -148,27 +160,26 @@ class Cycle:
                 self._send_command(now)
             if now >= next_sync:
                 self._note_round_trip()
-                self._bus.synced_at = self._clock()
-                self._bus.send(SYNC, b'')
+                self._bus.sync()
                 with self._changed:
                     next_sync = self._phase.next(now, self._lead)
-            if now >= next_beat:
+            if now >= next_heartbeat:
                 self._bus.send(HEARTBEAT + self._bus.parameters.master_id, bytes((OPERATIONAL,)))
-                next_beat = max(next_beat + self._beat_period, now)
+                next_heartbeat = max(next_heartbeat + self._heartbeat_period, now)
             self._bus.watch(now)
 
     def _send_command(self, now: float) -> None:
         """Send the controlword that the state asks for, and the target."""
         with self._changed:
             goal, target, resetting = self._goal, self._target, self._resetting
-            silent = self._watched and now - self._heard > self._hold
+            silent = self._watched and now - self._loop_at > self._hold
             self.silences += silent and not self._silent
             self._silent = silent
-        if silent or (self._bus.trouble and goal is Goal.ENABLED and not resetting):
+        if silent or (self._bus.fault and goal is Goal.ENABLED and not resetting):
             goal = Goal.SAFE
-        self._walk.want(goal, now)
+        self.walk.want(goal, now)
         state = self._bus.state
-        word, wrong = self._walk.look(state, self._bus.said_at, now)
+        word, wrong = self.walk.look(state, self._bus.received_at, now)
         if wrong:
             self._bus.complain(wrong)
         if resetting and state is DriveState.FAULT:
@@ -176,6 +187,7 @@ class Cycle:
             word = Controlword.FAULT_RESET if edge else Controlword.DISABLE_VOLTAGE
         if goal is not Goal.ENABLED or state is not DriveState.ENABLED:
             target = 0
+        self._bus.target = target
         self._bus.send(self._identifier, struct.pack(self._form, word, target))
 
     def _note_round_trip(self) -> None:

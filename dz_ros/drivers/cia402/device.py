@@ -1,4 +1,5 @@
-"""The other side of the state machine: what a drive does when it is told (CiA 402).
+# SPDX-License-Identifier: Apache-2.0
+"""The other side of the state machine: a drive's response to controlwords and faults (CiA 402).
 
 `Device` is a drive without bus, motor or clock: controlwords and faults go in, state and
 statusword come out. The simulated drive is built on it, and the driver is tested against it.
@@ -6,10 +7,16 @@ statusword come out. The simulated drive is built on it, and the driver is teste
 
 from __future__ import annotations
 
-from dz_ros.drivers.cia402.states import DriveState, INTERNAL_LIMIT, STATUS, TARGET_REACHED
+from dz_ros.drivers.cia402.states import (
+    DriveState,
+    FOLLOWS,
+    INTERNAL_LIMIT,
+    REMOTE,
+    STATUS,
+    TARGET_REACHED,
+    VOLTAGE,
+)
 
-VOLTAGE, REMOTE, FOLLOWS = 1 << 4, 1 << 9, 1 << 12
-"""Further bits of the statusword."""
 _PATTERN = {state: pattern for state, _, pattern in STATUS}
 _POWERED = (DriveState.READY, DriveState.SWITCHED_ON, DriveState.ENABLED, DriveState.QUICK_STOP,
             DriveState.REACTING)
@@ -23,13 +30,19 @@ class Device:
         quick_stop_code: Object 605Ah: 0 to 2 end without voltage, 5 and 6 stay.
         stuck: A fault that a reset does not clear.
         error_code: Object 603Fh.
-        standing: Whether the axis stands; whoever knows the motor sets it.
-        limited: Whether the drive clips what it is told.
+        standing: Whether the axis stands; the owner of the motor sets it.
+        limited: Whether the drive clips its target.
+        fault_reaction: Object 605Eh: 0 lets the axis coast.
+        abort_connection: Object 6007h: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop.
+        local: Operated at the drive itself: no controlword is obeyed.
     """
 
     def __init__(self) -> None:
         self.state = DriveState.NOT_READY
         self.quick_stop_code = 2
+        self.fault_reaction = 2
+        self.abort_connection = 1
+        self.local = False
         self.stuck = False
         self.error_code = 0
         self.standing = True
@@ -40,9 +53,12 @@ class Device:
         """Do the transitions a drive does by itself after it was switched on (0, 1)."""
         self.state = DriveState.DISABLED
         self.error_code = self._word = 0
+        self.quick_stop_code, self.fault_reaction, self.abort_connection = 2, 2, 1
 
     def control(self, word: int) -> None:
         """Take a controlword: at most one transition."""
+        if self.local:
+            return
         rising = word & ~self._word
         self._word = word
         if self.state is DriveState.FAULT:
@@ -69,9 +85,22 @@ class Device:
             self.state = DriveState.ENABLED if word & 0x08 else DriveState.SWITCHED_ON
 
     def fault(self, code: int) -> None:
-        """Begin to react to a fault (13)."""
+        """Begin the reaction to a fault: transition 13."""
         if self.state not in (DriveState.REACTING, DriveState.FAULT):
             self.state, self.error_code = DriveState.REACTING, code
+
+    def lose_connection(self, code: int) -> bool:
+        """React to a lost connection as 6007h defines; return whether by a fault (13)."""
+        if self.state not in _POWERED or self.abort_connection == 0:
+            return False
+        if self.abort_connection == 1:
+            self.fault(code)
+            return True
+        if self.abort_connection == 2:
+            self.state = DriveState.DISABLED
+        elif self.state is DriveState.ENABLED:
+            self.state = DriveState.QUICK_STOP
+        return False
 
     def drop(self) -> None:
         """Lose the voltage without a fault, as by a safe-torque-off input."""
@@ -80,7 +109,7 @@ class Device:
 
     def settle(self) -> None:
         """Do the transitions that wait for the axis to stand (12, 14)."""
-        if self.state is DriveState.REACTING and self.standing:
+        if self.state is DriveState.REACTING and (self.standing or not self.fault_reaction):
             self.state = DriveState.FAULT
         elif self.state is DriveState.QUICK_STOP and (
                 self.quick_stop_code == 0 or (self.quick_stop_code < 5 and self.standing)):
@@ -89,7 +118,7 @@ class Device:
     @property
     def statusword(self) -> int:
         """The statusword now."""
-        word = _PATTERN[self.state] | REMOTE
+        word = _PATTERN[self.state] | (0 if self.local else REMOTE)
         if self.state in _POWERED:
             word |= VOLTAGE
         if self.state is DriveState.ENABLED:

@@ -1,15 +1,21 @@
+# SPDX-License-Identifier: Apache-2.0
 """`cia402`: servo drives on CANopen, cyclic synchronous torque or velocity.
 
 Sources: CiA 301 (CANopen), CiA 402 / IEC 61800-7-201 (drives). What each part does:
 
-    states.py    the drive's state machine          objects.py   its objects and PDOs
-    scaling.py   its numbers ↔ units of the plant   setup.py     what it is told before it is used
-    bus.py       the bus and what the drive says    cycle.py     the thread that talks to it
+    states.py    the drive's state machine          objects.py      its objects and PDOs
+    scaling.py   its numbers ↔ units of the plant   measurement.py  what is true of its answers
+    setup.py     its settings before it is used     bus.py          the bus, what the drive sends
+    cycle.py     the thread that talks to it        sdo_watch.py    the thread that waits for it
 
 The safe state is the drive's own quick stop. Whatever the drive complains of (EMCY, fault, a
-heartbeat that stays away, a boot-up message, a bus that is gone) is a trouble that lasts until
-`recover`; meanwhile the drive is asked for its quick stop, as far as it hears. The drive in turn
-stops by itself when commands or our heartbeat stay away.
+heartbeat that stays away, a boot-up message, any NMT state but operational, another mode of
+operation, answers that contradict each other, a bus that is gone) is a fault that lasts until
+`recover`; meanwhile the drive is asked for its quick stop, by SDO where it takes no PDOs.
+Where it receives nothing, that is reported instead of a safe command. The
+drive in turn stops by itself when commands or our heartbeat stay away.
+
+Over 300 lines: the whole contract of a driver, and what of it waits for the drive.
 """
 
 from __future__ import annotations
@@ -18,14 +24,24 @@ import math
 import time
 from typing import Any, TYPE_CHECKING
 
-from dz_ros.core.driver import Driver
 from dz_ros.core.safety.health import Level, percentiles
-from dz_ros.drivers.cia402.bus import DriveBus, Measurement, PRE_OPERATIONAL
+from dz_ros.drivers.cia402.bus import DriveBus
 from dz_ros.drivers.cia402.cycle import Cycle
-from dz_ros.drivers.cia402.objects import ERROR_CODE, TORQUE_DEMAND, VELOCITY_DEMAND
+from dz_ros.drivers.cia402.measurement import Measurement
+from dz_ros.drivers.cia402.objects import ERROR_CODE, MODES, TORQUE_DEMAND, VELOCITY_DEMAND
 from dz_ros.drivers.cia402.scaling import Scaling
+from dz_ros.drivers.cia402.sdo_watch import SdoWatch
 from dz_ros.drivers.cia402.settings import Cia402Parameters
-from dz_ros.drivers.cia402.states import DriveState, Goal, INTERNAL_LIMIT, TARGET_REACHED
+from dz_ros.drivers.cia402.states import (
+    DriveState,
+    Goal,
+    INTERNAL_LIMIT,
+    REMOTE,
+    stopped,
+    TARGET_REACHED,
+)
+from dz_ros.drivers.contract import Driver
+from dz_ros.drivers.freshness import Freshness
 from dz_ros.errors import ConfigurationError, DriverError
 
 if TYPE_CHECKING:
@@ -34,13 +50,21 @@ if TYPE_CHECKING:
     from dz_ros.core.safety.health import Report
 
 STALE = 3.0
-"""A measurement older than so many periods is none."""
+"""A measurement older than this is none [samples]."""
 STANDSTILL = 1.0
 """Longest wait for the axis to stand before the voltage is taken away [s]."""
 
 
 class Cia402(Driver):
-    """A CiA 402 servo drive with one axis."""
+    """A CiA 402 servo drive with one axis.
+
+    Attributes:
+        scaling: Its numbers.
+        bus: The bus and what the drive sends, while open.
+        cycle: The thread that talks to it, while open.
+        sdo_watch: The thread that waits for it, while open.
+        sample_at: When the newest sample ended [s].
+    """
 
     name = 'cia402'
     summary = 'servo drive on CANopen (CiA 402), torque or velocity'
@@ -55,12 +79,14 @@ class Cia402(Driver):
             raise ConfigurationError('driver.name', 'cia402', 'measures position and velocity, '
                                      f'plant.model has order {order}')
         self._period = configuration.loop.period
-        self._scaling = Scaling.of(parameters)
-        self._bus: DriveBus | None = None
-        self._cycle: Cycle | None = None
+        self._freshness = Freshness.of(STALE, configuration)
+        self.scaling = Scaling.of(parameters)
+        self.bus: DriveBus | None = None
+        self.cycle: Cycle | None = None
+        self.sdo_watch: SdoWatch | None = None
         self._enabled = False
         self._samples = self._late = 0
-        self._sample_at = -math.inf
+        self.sample_at = -math.inf
 
     @property
     def measured(self) -> int:
@@ -68,11 +94,21 @@ class Cia402(Driver):
         return min(self.configuration.plant.order, 2 if self.parameters.velocity_measured else 1)
 
     @property
+    def resolution(self) -> float:
+        """One count of its encoder [unit of x]."""
+        return super().resolution or abs(self.scaling.position)
+
+    @property
+    def command_resolution(self) -> float:
+        """One number of the target object: a per mille of the rated torque, or a speed count."""
+        return super().command_resolution or 1.0 / abs(self.scaling.command)
+
+    @property
     def limit(self) -> float:
         """Largest |v| that the target object, or the largest torque or speed, can hold."""
-        return self._scaling.limit
+        return self.scaling.limit
 
-    # Its life.
+    # Lifecycle.
 
     def open(self) -> None:
         """Connect to the bus, configure the drive, begin to measure.
@@ -81,11 +117,10 @@ class Cia402(Driver):
             MissingDependencyError: canopen or python-can is not installed.
             DriverError: No bus, no drive, or another one.
         """
-        self._bus = DriveBus(self.parameters, self._period)
-        self._bus.open()
-        self._bus.configure()
-        self._cycle = Cycle(self._bus, self._period)
-        self._cycle.start()
+        self.bus = DriveBus(self.parameters, self._period)
+        self.bus.open()
+        self.bus.configure()
+        self._begin(self.bus)
 
     def enable(self) -> None:
         """Bring the drive to operation enabled, its target 0; a fault from before is reset.
@@ -97,90 +132,102 @@ class Cia402(Driver):
         if not bus.wait_for_status(lambda: bus.statusword >= 0, self.parameters.transition_limit):
             raise DriverError(f'{bus.place}: answers SDOs but sends no PDOs')
         cycle.want(Goal.SAFE)       # what the loop wanted before is forgotten
-        bus.forget_trouble()
+        bus.forget_fault()
+        wanted = MODES[self.parameters.mode]
+        if bus.mode != wanted:
+            raise DriverError(f'{bus.place}: is not in mode {wanted} (6061h = {bus.mode}): it is '
+                              'not enabled')
         self._leave_fault()
         cycle.want(Goal.ENABLED)
-        bus.wait_for_status(lambda: bus.state is DriveState.ENABLED or bool(bus.trouble),
+        bus.wait_for_status(lambda: bus.state is DriveState.ENABLED or bool(bus.fault),
                             self.parameters.transition_limit)
-        if bus.state is not DriveState.ENABLED or bus.trouble:
-            reason = bus.trouble or f'remains {_name(bus.state)}'
+        if bus.state is not DriveState.ENABLED or bus.fault:
+            reason = bus.fault or f'remains {_name(bus.state)}'
+            if bus.statusword >= 0 and not bus.statusword & REMOTE:
+                reason += ', in local mode (statusword bit 9 is 0)'
             bus.complain(reason)
             cycle.want(Goal.OFF)
             raise DriverError(f'{bus.place}: {reason}{self._error_code()}')
         self._enabled = True
 
     def disable(self) -> None:
-        """Take the voltage away, once the axis stands if a quick stop is under way."""
+        """Take the voltage away, once the axis stands if a quick stop is under way.
+
+        Raises:
+            DriverError: It is not known to be without torque: the command was not taken.
+        """
         self._enabled = False
-        if self._bus is None or self._cycle is None:
+        if self.bus is None or self.cycle is None:
             return
-        bus = self._bus
-        if not bus.broken and not bus.trouble:
+        bus, cycle = self.bus, self.cycle
+        if not bus.broken and not bus.fault:
             bus.wait_for_status(lambda: bus.state is not DriveState.QUICK_STOP
                                 or bool(bus.statusword & TARGET_REACHED), STANDSTILL)
-        self._cycle.want(Goal.OFF)
+        cycle.want(Goal.OFF)
+        asked = time.monotonic()
         if not bus.broken:
-            bus.wait_for_status(lambda: bus.state in (DriveState.DISABLED, DriveState.FAULT),
-                                10.0 * self._period)
+            bus.wait_for_status(lambda: bus.received_at > asked and stopped(Goal.OFF, bus.state),
+                                self.parameters.transition_limit)
+        refused = self._not_taken()
+        if refused:
+            raise DriverError(f'{bus.place}: the safe command is not taken: {refused}')
 
     def close(self) -> None:
-        """Stop the drive's communication and leave the bus."""
-        if self._cycle is not None:
-            self._cycle.stop()
-            self._cycle = None
-        if self._bus is not None:
-            if not self._bus.broken:
-                self._bus.nmt(PRE_OPERATIONAL)
-            self._bus.close()
-            self._bus = None
+        """Stop the drive's communication, unless it still has torque, and leave the bus."""
+        self._end()
+        if self.bus is not None:
+            if not self.bus.broken:
+                self.bus.leave()
+            self.bus.close()
+            self.bus = None
 
     # Each sample.
 
     def command(self, v: float, t: float) -> None:  # noqa: ARG002
         """Have the thread send v; what is not finite is the safe state."""
-        if self._cycle is not None:
+        if self.cycle is not None:
             if math.isfinite(v):
-                self._cycle.want(Goal.ENABLED, self._scaling.target(v))
+                self.cycle.want(Goal.ENABLED, self.scaling.target(v))
             else:
-                self._cycle.want(Goal.SAFE)
+                self.cycle.want(Goal.SAFE)
 
     def safe(self, v: float, t: float) -> None:  # noqa: ARG002
         """Have the thread ask for a quick stop; v is not used."""
-        if self._cycle is not None:
-            self._cycle.want(Goal.SAFE)
+        if self.cycle is not None:
+            self.cycle.want(Goal.SAFE)
 
     def advance(self, t: float, seq: int) -> Truth | None:  # noqa: ARG002
         """Learn when samples end, so that SYNC goes out before."""
-        if self._cycle is not None:
-            self._sample_at = self._cycle.hear(t)
+        if self.cycle is not None:
+            self.sample_at = self.cycle.sample_ended(t)
             self._samples += 1
             oldest = min(self.parameters.sync_lead, self._period) + 0.5 * self._period
-            self._late += self._newest(oldest) is None
+            self._late += self._newest(Freshness(oldest)) is None
         return None
 
     def measure(self) -> tuple[float, ...] | None:
-        """Return x, or x and x', as the drive last said; None where that is too long ago.
+        """Return x, or x and x', as the drive last sent it; None where that is too long ago.
 
-        The drive says what was at the SYNC; x is brought from there to the sample by x'.
+        The drive samples at the SYNC; x is brought from there to the sample by x'.
         """
-        found = self._newest(STALE * self._period)
+        found = self._newest(self._freshness)
         if found is None:
             return None
         x, now = found.x, time.monotonic()
-        if self.parameters.extrapolate and math.isfinite(found.speed):
+        if self.parameters.extrapolate:
             # No loop, or one that waits: there is no sample but now.
-            sample = self._sample_at if abs(now - self._sample_at) < self._period else now
-            x += found.speed * min(max(sample - found.synced_at, 0.0), STALE * self._period)
+            sample = self.sample_at if abs(now - self.sample_at) < self._period else now
+            x = self._freshness.advanced(x, found.speed, sample - found.synced_at)
         return (x, found.speed)[:self.measured]
 
-    def trouble(self) -> str:
+    def fault(self) -> str:
         """Return the first thing that went wrong since the last reset."""
-        bus = self._bus
+        bus = self.bus
         if bus is None:
             return 'not connected'
-        if not bus.trouble and bus.state in (DriveState.FAULT, DriveState.REACTING):
+        if not bus.fault and bus.state in (DriveState.FAULT, DriveState.REACTING):
             bus.complain('the drive is in fault')
-        return bus.trouble
+        return bus.fault
 
     def recover(self) -> None:
         """Reach the drive again, configure it, reset its fault, enable it if it was.
@@ -194,71 +241,101 @@ class Cia402(Driver):
         if bus.broken:
             bus = self._reconnect()
         bus.look_for_restart()
-        if bus.restarted and not self.parameters.absolute_encoder:
-            raise DriverError(f'{bus.place}: has restarted and has lost its position '
-                              '(driver.absolute_encoder = false): home it, then start the loop '
-                              'anew')
+        absolute, position = self.parameters.absolute_encoder, bus.position
+        if (bus.restarted or position.lost) and (position.narrow or not absolute):
+            what = 'has restarted and has lost' if bus.restarted else 'has lost'
+            why = (f'its counter has {position.modulus} values' if position.narrow
+                   else 'driver.absolute_encoder = false')
+            raise DriverError(f'{bus.place}: {what} its position ({why}): home it, then start the '
+                              'loop again')
         bus.configure()
         if self._enabled:
             self.enable()
         else:
-            bus.forget_trouble()
+            bus.forget_fault()
             self._leave_fault()
 
-    def in_force(self) -> float | None:
+    def applied_command(self) -> float | None:
         """Ask the drive for its demand value; waits for the answer."""
         bus, _ = self._open()
         found = bus.sdo.read_optional(TORQUE_DEMAND if self.parameters.mode == 'torque'
                                       else VELOCITY_DEMAND)
-        return None if found is None else self._scaling.v(found)
+        return None if found is None else self.scaling.v(found)
 
     def report(self, report: Report) -> None:
         """Add state, round trips on the bus, samples whose measurement was an old one."""
-        if self._bus is None or self._cycle is None:
+        if self.bus is None or self.cycle is None:
             return
-        report.put('drive', _name(self._bus.state))
-        taken, self._cycle.round_trips = self._cycle.round_trips, []
+        report.put('drive', _name(self.bus.state))
+        refused = self._not_taken()
+        if refused:
+            report.summarize(Level.ERROR, f'the safe command is not taken: {refused}')
+        for remark in self.bus.remarks:
+            report.summarize(Level.WARN, f'the drive: {remark}')
+        taken, self.cycle.round_trips = self.cycle.round_trips, []
         percentiles(taken, report, 'bus round trip')
         report.put('samples without a fresh answer', self._late, 'd')
         report.put('samples', self._samples, 'd')
-        report.put('loop silent', self._cycle.silences, 'd')
-        found = self._bus.measurement
+        report.put('loop silent', self.cycle.silences, 'd')
+        found = self.bus.measurement
         if found is not None and math.isfinite(found.torque):
             report.put('torque over the rated', found.torque)
-        if self._bus.lacks:
-            report.put('objects the drive lacks', self._bus.lacks)
-        if self._bus.statusword >= 0 and self._bus.statusword & INTERNAL_LIMIT:
-            report.say(Level.WARN, 'the drive is at its limit')
+        if self.bus.lacks:
+            report.put('objects the drive lacks', self.bus.lacks)
+        if self.bus.statusword >= 0 and self.bus.statusword & INTERNAL_LIMIT:
+            report.summarize(Level.WARN, 'the drive is at its limit')
 
     # Parts.
 
     def _open(self) -> tuple[DriveBus, Cycle]:
-        if self._bus is None or self._cycle is None:
+        if self.bus is None or self.cycle is None:
             raise DriverError('driver cia402 is not open')
-        return self._bus, self._cycle
+        return self.bus, self.cycle
 
-    def _newest(self, age: float) -> Measurement | None:
-        """Return the newest measurement unless it is older than this [s]."""
-        found = self._bus.measurement if self._bus is not None else None
-        return None if found is None or time.monotonic() - found.at > age else found
+    def _newest(self, freshness: Freshness) -> Measurement | None:
+        """Return the newest measurement if it is fresh since its SYNC."""
+        found = self.bus.measurement if self.bus is not None else None
+        return found if found is not None and freshness.holds(found.synced_at) else None
+
+    def _begin(self, bus: DriveBus) -> None:
+        """Start the threads."""
+        self.cycle = cycle = Cycle(bus, self._period)
+        self.sdo_watch = SdoWatch(bus, lambda: cycle.goal)
+        cycle.start()
+        self.sdo_watch.start()
+
+    def _end(self) -> None:
+        """End the threads."""
+        if self.sdo_watch is not None:
+            self.sdo_watch.stop()
+        if self.cycle is not None:
+            self.cycle.stop()
+        self.cycle = self.sdo_watch = None
+
+    def _not_taken(self) -> str:
+        """Return why the drive is not known to have taken the safe command, or ''."""
+        bus, cycle = self._open()
+        if cycle.goal is Goal.ENABLED or (bus.received_at > cycle.since
+                                          and stopped(cycle.goal, bus.state)):
+            return ''
+        return bus.deaf or f'the drive remains {_name(bus.state)}'
 
     def _reconnect(self) -> DriveBus:
-        """Leave the bus that is gone and connect anew."""
-        bus, cycle = self._open()
-        trouble = bus.trouble
-        cycle.stop()
+        """Leave the bus that is gone and connect again."""
+        bus, _ = self._open()
+        fault = bus.fault
+        self._end()
         bus.close()
         fresh = DriveBus(self.parameters, self._period)
         fresh.follow(bus)
-        self._bus = fresh
-        self._cycle = Cycle(fresh, self._period)
+        self.bus = fresh
         try:
             fresh.open()
         except DriverError:
-            fresh.complain(trouble)
+            fresh.complain(fault)
             raise
         finally:
-            self._cycle.start()
+            self._begin(fresh)
         return fresh
 
     def _leave_fault(self) -> None:
@@ -282,7 +359,6 @@ class Cia402(Driver):
             raise DriverError(f'{bus.place}: remains in fault{self._error_code()}')
 
     def _error_code(self) -> str:
-        """Return what the drive says its error is, for a message."""
         bus, _ = self._open()
         try:
             code = bus.sdo.read_optional(ERROR_CODE)

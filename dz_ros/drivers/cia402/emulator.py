@@ -1,9 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
 """A simulated servo drive on a CAN bus, real CANopen and all, with a plant behind a dead-zone.
 
 canopen's `LocalNode` is its SDO server, NMT slave and heartbeat; what a drive does with that is
 here: PDOs as they were mapped, SYNC, the state machine, watchdogs of its own (consumer heartbeat,
-event timer of the RPDO), EMCY. It is a process of its own on any bus python-can knows; on
-``udp_multicast`` no hardware is needed.
+event timer of the RPDO) and its reactions (6007h, 605Ah, 605Eh, 1029h), EMCY. It is a
+process of its own on any bus python-can knows; on ``udp_multicast`` no hardware is needed.
 
 Faults come from the script, or while it runs from any master by SDO: the number of a fault in
 `FAULTS` into 2000h, after its value (e.g. the code of an EMCY) into 2001h and its duration in ms
@@ -31,10 +32,18 @@ FAULTS = {
     'emcy': 'EMCY and fault; VALUE: error code, 8976 = 2310h unless given',
     'stuck': 'the same, and for S s no reset helps',
     'heartbeat': 'sends no heartbeat for S s',
-    'restart': 'loses its settings and boots anew; S s until it is there again',
-    'bus-off': 'neither hears nor is heard for S s',
+    'restart': 'loses its settings and boots again; S s until it is there again',
+    'bus-off': 'neither receives nor sends for S s',
     'torque-off': 'loses the voltage without a fault, as by its safe-torque-off input',
     'no-pdo': 'sends no PDO for S s',
+    'pre-operational': 'leaves NMT state operational by itself',
+    'stopped': 'goes to NMT state stopped by itself',
+    'mode': 'is in another mode of operation; VALUE: which, 1 unless given',
+    'local': 'is operated locally for S s: it obeys no controlword',
+    'frozen': 'sends the same PDOs again and again for S s',
+    'disorder': 'sends the last PDO first for S s',
+    'twice': 'sends each PDO twice for S s, as two nodes with one id do',
+    'short': 'sends its first PDO with a byte too few for S s',
 }
 """What can go wrong; 2000h counts them from 1."""
 
@@ -44,14 +53,24 @@ class EmulatedParameters:
     """What the simulated drive has besides the sections driver and plant."""
 
     brake: float = parameter(0.1, 's', 'time constant of its quick stop', minimum=0.001)
-    rated_torque: float = parameter(0.0, 'N m', 'rated torque it says it has; 0 = that of '
+    rated_torque: float = parameter(0.0, 'N m', 'rated torque it reports; 0 = that of '
                                     'driver.rated_torque', minimum=0.0)
     quick_stop_exit: bool = parameter(True, '', 'goes from quick stop active back to operation '
                                       'enabled (transition 16, optional in the profile)')
+    position_range: int = parameter(0, '1', 'its position counts from 0 to this - 1, as that of a '
+                                    'modulo axis or a narrow counter; 0 = 32 bits', minimum=0,
+                                    maximum=2 ** 31)
+    reports_range: bool = parameter(True, '', 'it reports that (607Bh)')
 
 
 class Cia402Emulator(Emulator):
-    """A simulated CiA 402 drive."""
+    """A simulated CiA 402 drive.
+
+    Attributes:
+        node: The drive on the bus, while open.
+        pending: Faults of the script that have not begun.
+        ends: What ends a fault that has begun: when [s], what to call, its name.
+    """
 
     name = 'cia402'
     summary = 'servo drive on CANopen: state machine, PDOs, SYNC, heartbeat, EMCY'
@@ -69,10 +88,10 @@ class Cia402Emulator(Emulator):
                                      f'{configuration.plant.order}, a drive has position and '
                                      'velocity')
         self._tick = min(0.005, configuration.loop.period)
-        self._node: DriveNode | None = None
+        self.node: DriveNode | None = None
         self._moved_at: float | None = None
-        self._pending = list(self.script)
-        self._ends: list[tuple[float, Callable[[], None], str]] = []
+        self.pending = list(self.script)
+        self.ends: list[tuple[float, Callable[[], None], str]] = []
         self._asked: list[Fault] = []
         self._lock = threading.Lock()
 
@@ -83,58 +102,60 @@ class Cia402Emulator(Emulator):
             MissingDependencyError: canopen or python-can is not installed.
             DriverError: There is no such bus.
         """
-        self._node = node = DriveNode(self.configuration, self.parameters.brake,
-                                      self.parameters.rated_torque,
-                                      self.parameters.quick_stop_exit, self._ask)
+        self.node = node = DriveNode(self.configuration, self.parameters.brake,
+                                     self.parameters.rated_torque,
+                                     self.parameters.quick_stop_exit,
+                                     self.parameters.position_range,
+                                     self.parameters.reports_range, self.ask)
         node.open()
         p = self.configuration.driver_parameters
         return (f'simulated drive, node {p.node_id} on {p.interface} {p.channel}: '
                 f'{self.configuration.plant.name} behind a dead-zone')
 
-    def run(self, stopping: Callable[[], bool], say: Callable[[str], None]) -> None:
-        """Be the drive until told to stop."""
-        assert self._node is not None
-        node = self._node
-        node.say = say
+    def run(self, stopping: Callable[[], bool], log: Callable[[str], None]) -> None:
+        """Be the drive until `stopping` returns True."""
+        assert self.node is not None
+        node = self.node
+        node.log = log
         while not stopping():
             time.sleep(self._tick)
             node.tick()
-            self._look(node, time.monotonic(), say)
+            self._look(node, time.monotonic(), log)
         for line in node.summary():
-            say(line)
+            log(line)
 
     def close(self) -> None:
         """Leave the bus."""
-        node, self._node = self._node, None
+        node, self.node = self.node, None
         if node is not None:
             node.close()
 
-    def _ask(self, number: int, value: int, duration: float) -> None:
+    def ask(self, number: int, value: int, duration: float) -> None:
         """Take a fault that a master asks for by SDO."""
         names = list(FAULTS)
         if 1 <= number <= len(names):
             with self._lock:
                 self._asked.append(Fault(names[number - 1], 0.0, duration,
-                                         float(value or OVERCURRENT)))
+                                         float(value) if value else math.nan))
 
-    def _look(self, node: DriveNode, now: float, say: Callable[[str], None]) -> None:
+    def _look(self, node: DriveNode, now: float, log: Callable[[str], None]) -> None:
         """Begin and end the faults that are due."""
         if self._moved_at is None and node.moved:
             self._moved_at = now
         with self._lock:
             due, self._asked = self._asked, []
         if self._moved_at is not None:
-            due += [item for item in self._pending if now - self._moved_at >= item.start]
-            self._pending = [item for item in self._pending if item not in due]
+            due += [item for item in self.pending if now - self._moved_at >= item.start]
+            self.pending = [item for item in self.pending if item not in due]
         for item in due:
-            say(f'fault {item.name}')
+            log(f'fault {item.name}')
             end = self._begin(node, item)
             if end is not None:
-                self._ends.append((now + item.duration, end, item.name))
-        for place in [entry for entry in self._ends if now >= entry[0]]:
-            self._ends.remove(place)
+                self.ends.append((now + item.duration, end, item.name))
+        for place in [entry for entry in self.ends if now >= entry[0]]:
+            self.ends.remove(place)
             place[1]()
-            say(f'end of fault {place[2]}')
+            log(f'end of fault {place[2]}')
 
     def _begin(self, node: DriveNode, item: Fault) -> Callable[[], None] | None:
         """Let something go wrong; return what ends it."""
@@ -154,5 +175,15 @@ class Cia402Emulator(Emulator):
         if item.name == 'torque-off':
             node.drop()
             return None
-        node.sends_pdos = False
-        return lambda: setattr(node, 'sends_pdos', True)
+        if item.name in ('pre-operational', 'stopped'):
+            node.leave_operational(item.name.upper())
+            return None
+        if item.name == 'mode':
+            node.mode = 1 if math.isnan(item.value) else int(item.value)
+            return None
+        owner, attribute, wrong = {
+            'no-pdo': (node, 'sends_pdos', False), 'local': (node.device, 'local', True),
+            'frozen': (node, 'frozen', True), 'disorder': (node, 'disordered', True),
+            'twice': (node, 'doubled', True), 'short': (node, 'shortened', True)}[item.name]
+        setattr(owner, attribute, wrong)
+        return lambda: setattr(owner, attribute, not wrong)

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The objects of a drive that are used here, as the profiles number them; no EDS is needed.
 
 Communication objects: CiA 301. Drive objects: CiA 402 (IEC 61800-7-201). The same table makes the
@@ -52,13 +53,18 @@ class Object:
 
 DEVICE_TYPE = Object(0x1000, 0, 'device type', U32, 'ro', 0x00020192)
 ERROR_REGISTER = Object(0x1001, 0, 'error register', U8, 'ro', 0)
+SYNC_ID = Object(0x1005, 0, 'COB-ID SYNC', U32, 'rw', 0x80)
 CONSUMER_HEARTBEAT = Object(0x1016, 1, 'consumer heartbeat time', U32, 'rw', 0)
 PRODUCER_HEARTBEAT = Object(0x1017, 0, 'producer heartbeat time', U16, 'rw', 0)
 VENDOR = Object(0x1018, 1, 'vendor id', U32, 'ro', 0)
+SYNC_COUNTER = Object(0x1019, 0, 'synchronous counter overflow value', U8, 'rw', 0)
+ERROR_BEHAVIOUR = Object(0x1029, 1, 'error behaviour, communication error', U8, 'rw', 0)
+ABORT_CONNECTION = Object(0x6007, 0, 'abort connection option code', I16, 'rw', 1)
 ERROR_CODE = Object(0x603F, 0, 'error code', U16, 'ro', 0)
 CONTROLWORD = Object(0x6040, 0, 'controlword', U16, 'rw', 0)
 STATUSWORD = Object(0x6041, 0, 'statusword', U16, 'ro', 0)
 QUICK_STOP_CODE = Object(0x605A, 0, 'quick stop option code', I16, 'rw', 2)
+FAULT_REACTION = Object(0x605E, 0, 'fault reaction option code', I16, 'rw', 2)
 MODE = Object(0x6060, 0, 'modes of operation', I8, 'rw', 0)
 MODE_DISPLAY = Object(0x6061, 0, 'modes of operation display', I8, 'ro', 0)
 POSITION = Object(0x6064, 0, 'position actual value', I32, 'ro', 0)
@@ -69,6 +75,8 @@ MAX_TORQUE = Object(0x6072, 0, 'max torque', U16, 'rw', 1000)
 TORQUE_DEMAND = Object(0x6074, 0, 'torque demand', I16, 'ro', 0)
 RATED_TORQUE = Object(0x6076, 0, 'motor rated torque', U32, 'ro', 1000)
 TORQUE = Object(0x6077, 0, 'torque actual value', I16, 'ro', 0)
+RANGE_LOWEST = Object(0x607B, 1, 'position range limit, lowest', I32, 'rw', 0)
+RANGE_HIGHEST = Object(0x607B, 2, 'position range limit, highest', I32, 'rw', 0)
 MAX_SPEED = Object(0x6080, 0, 'max motor speed', U32, 'rw', 3000)
 CYCLE = Object(0x60C2, 1, 'interpolation time period', U8, 'rw', 1)
 CYCLE_EXPONENT = Object(0x60C2, 2, 'interpolation time index', I8, 'rw', -3)
@@ -76,10 +84,11 @@ TARGET_VELOCITY = Object(0x60FF, 0, 'target velocity', I32, 'rw', 0)
 SUPPORTED_MODES = Object(0x6502, 0, 'supported drive modes', U32, 'ro', 1 << 7 | 1 << 8 | 1 << 9)
 
 STANDARD = (
-    DEVICE_TYPE, ERROR_REGISTER, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT, VENDOR, ERROR_CODE,
-    CONTROLWORD, STATUSWORD, QUICK_STOP_CODE, MODE, MODE_DISPLAY, POSITION, VELOCITY_DEMAND,
-    VELOCITY, TARGET_TORQUE, MAX_TORQUE, TORQUE_DEMAND, RATED_TORQUE, TORQUE, MAX_SPEED, CYCLE,
-    CYCLE_EXPONENT, TARGET_VELOCITY, SUPPORTED_MODES)
+    DEVICE_TYPE, ERROR_REGISTER, SYNC_ID, CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT, VENDOR,
+    SYNC_COUNTER, ERROR_BEHAVIOUR, ABORT_CONNECTION, ERROR_CODE, CONTROLWORD, STATUSWORD,
+    QUICK_STOP_CODE, FAULT_REACTION, MODE, MODE_DISPLAY, POSITION, VELOCITY_DEMAND, VELOCITY,
+    TARGET_TORQUE, MAX_TORQUE, TORQUE_DEMAND, RATED_TORQUE, TORQUE, RANGE_LOWEST, RANGE_HIGHEST,
+    MAX_SPEED, CYCLE, CYCLE_EXPONENT, TARGET_VELOCITY, SUPPORTED_MODES)
 
 FAULT = Object(0x2000, 0, 'emulated fault', U8, 'rw', 0)
 FAULT_VALUE = Object(0x2001, 0, 'emulated fault value', U16, 'rw', 0)
@@ -89,11 +98,12 @@ EMULATED = (FAULT, FAULT_VALUE, FAULT_TIME)
 
 CYCLIC_VELOCITY, CYCLIC_TORQUE = 9, 10
 """Modes of operation; bit mode − 1 of the supported ones."""
+MODES = {'torque': CYCLIC_TORQUE, 'velocity': CYCLIC_VELOCITY}
 
 RECEIVE, TRANSMIT = (0x1400, 0x1600, 0x200), (0x1800, 0x1A00, 0x180)
 """First communication record, first mapping record, COB-ID without node id of RPDOs and TPDOs."""
-NOT_VALID = 1 << 31
-"""Bit of a PDO's COB-ID: it is switched off."""
+NOT_VALID, NO_RTR, EXTENDED, IDENTIFIER = 1 << 31, 1 << 30, 1 << 29, 0x7FF
+"""Parts of a PDO's COB-ID: switched off; no remote request; 29-bit frame; the identifier."""
 
 
 @dataclass(frozen=True)
@@ -132,35 +142,48 @@ class Pdo:
         """Return its identifier on the bus, of the predefined connection set."""
         return self.direction[2] + 0x100 * self.number + node_id
 
-    def records(self, node_id: int, event_timer: int = 0) -> list[tuple[int, int, int]]:
+    @property
+    def name(self) -> str:
+        """Name for messages."""
+        return f'{"RPDO" if self.direction is RECEIVE else "TPDO"} {self.number + 1}'
+
+    @property
+    def mappings(self) -> list[int]:
+        """Entries of the mapping record."""
+        return [item.mapping for item in self.objects]
+
+    def records(self, node_id: int, event_timer: int = 0,
+                kept: int = 0) -> list[tuple[int, int, int]]:
         """Return (index, sub, value) to write, in the order CiA 301 asks for.
 
         Args:
             node_id: Of the drive.
             event_timer: Of a PDO to be received: the longest time between two [ms], 0 = none.
+            kept: Bits of the COB-ID that are the drive's: `NO_RTR` where it knows no request.
         """
-        cob_id = self.cob_id(node_id)
+        cob_id = self.cob_id(node_id) | kept
         found = [(self.communication, 1, cob_id | NOT_VALID),
                  (self.communication, 2, self.kind)]
         if event_timer:
             found.append((self.communication, 5, event_timer))
         found.append((self.mapping, 0, 0))
-        found += [(self.mapping, place + 1, item.mapping)
-                  for place, item in enumerate(self.objects)]
+        found += [(self.mapping, place + 1, value) for place, value in enumerate(self.mappings)]
         return [*found, (self.mapping, 0, len(self.objects)), (self.communication, 1, cob_id)]
 
 
-def layout(mode: str, at_sync: bool, velocity: bool) -> tuple[Pdo, Pdo, Pdo | None]:
+def layout(mode: str, at_sync: bool, velocity: bool,
+           display: bool = True) -> tuple[Pdo, Pdo, Pdo | None]:
     """Return what is exchanged in each cycle: command; status and position; velocity, torque.
 
     Args:
         mode: torque or velocity.
         at_sync: Whether the drive applies a command at the next SYNC, not at its arrival.
         velocity: Whether the drive is to send its velocity.
+        display: Whether it is to send its mode with the position.
     """
     target = TARGET_TORQUE if mode == 'torque' else TARGET_VELOCITY
     return (Pdo(0, RECEIVE, 1 if at_sync else 255, (CONTROLWORD, target)),
-            Pdo(0, TRANSMIT, 1, (STATUSWORD, POSITION)),
+            Pdo(0, TRANSMIT, 1, (STATUSWORD, POSITION, *((MODE_DISPLAY,) if display else ()))),
             Pdo(1, TRANSMIT, 1, (VELOCITY, TORQUE)) if velocity else None)
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Numbers of the drive ↔ units of the plant (ours; objects of CiA 402).
 
     x  = ± (6064h − zero) u/(c g)              c counts_per_rev, g gear, u unit_per_rev
@@ -5,8 +6,7 @@
     6071h = ± 1000 v τ/τ_rated  [per mille]    τ torque_per_command      (mode torque)
     60FFh = ± v q c_v g/u                      q speed_per_command       (mode velocity)
 
-with − where the drive is reversed. The position is a 32-bit number that wraps; `Unwrap` follows
-it across the wrap.
+with − where the drive is reversed. The position is a number that wraps: measurement.py.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ from dataclasses import dataclass
 
 from dz_ros.drivers.cia402.settings import Cia402Parameters
 
-_HALF, _WHOLE = 2 ** 31, 2 ** 32
+WHOLE = 2 ** 32
+"""Values of a 32-bit counter."""
+_HALF = WHOLE // 2
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,7 @@ class Scaling:
         command: Numbers of the target object per command unit, with its sign.
         largest: Largest number the target object may be given.
         zero: Count at which x is 0.
+        counts_per_number: Counts/s per number of 606Ch.
     """
 
     position: float
@@ -35,6 +38,7 @@ class Scaling:
     command: float
     largest: int
     zero: int
+    counts_per_number: float = 1.0
 
     @classmethod
     def of(cls, p: Cia402Parameters) -> Scaling:
@@ -49,7 +53,7 @@ class Scaling:
             command = per_speed * p.speed_per_command
             largest = int(p.max_speed / 60.0 * velocity_counts)
         return cls(sign * p.unit_per_rev / (p.counts_per_rev * p.gear), 1.0 / per_speed, command,
-                   largest, p.zero)
+                   largest, p.zero, p.counts_per_rev / velocity_counts)
 
     @property
     def limit(self) -> float:
@@ -60,7 +64,7 @@ class Scaling:
         """Return x of a position that was unwrapped."""
         return (counts - self.zero) * self.position
 
-    def speed(self, number: int) -> float:
+    def speed(self, number: float) -> float:
         """Return x' of a velocity actual value."""
         return number * self.velocity
 
@@ -72,7 +76,7 @@ class Scaling:
         """
         return min(max(round(v * self.command), -self.largest), self.largest)
 
-    # The way back, for who plays the drive.
+    # The way back, for the simulated drive.
 
     def counts(self, x: float) -> int:
         """Return the position actual value of x as the 32-bit number it is sent as."""
@@ -87,24 +91,6 @@ class Scaling:
         return target / self.command
 
 
-def wrapped(counts: int) -> int:
-    """Return a count as the signed 32-bit number it wraps to."""
-    return (counts + _HALF) % _WHOLE - _HALF
-
-
-class Unwrap:
-    """Follows a position across the wrap of its 32 bits; half a turn between two is the limit."""
-
-    def __init__(self) -> None:
-        self._last: int | None = None
-
-    def __call__(self, counts: int) -> int:
-        """Return the count without wraps, nearest to the one before."""
-        if self._last is not None:
-            counts = self._last + wrapped(counts - self._last)
-        self._last = counts
-        return counts
-
-    def forget(self) -> None:
-        """Take the next count as it is."""
-        self._last = None
+def wrapped(counts: int, modulus: int = WHOLE) -> int:
+    """Return a count as the signed number it wraps to, −modulus/2 ≤ number < modulus/2."""
+    return (counts + modulus // 2) % modulus - modulus // 2

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Parameters of a drive: where it is, what its numbers mean, how long to wait for it (ours)."""
 
 from __future__ import annotations
@@ -41,6 +42,10 @@ class Cia402Parameters:
                               'change their sign', structural=True)
     zero: int = parameter(0, '1', 'position count at which x is 0', minimum=-2 ** 31,
                           maximum=2 ** 31 - 1, structural=True)
+    position_range: int = parameter(0, '1', 'counts after which the position (6064h) begins '
+                                    'again: of a modulo axis, 65536 of a 16-bit counter; 0 = as '
+                                    'the drive reports (607Bh), or 32 bits', minimum=0,
+                                    maximum=2 ** 32, structural=True)
     absolute_encoder: bool = parameter(True, '', 'the position survives a restart of the drive; '
                                        'false: a restarted drive is not driven on',
                                        structural=True)
@@ -55,33 +60,42 @@ class Cia402Parameters:
     torque_per_command: float = parameter(1.0, 'N m per command unit', 'torque at the motor '
                                           'shaft that v = 1 asks for', minimum=0.0,
                                           open_minimum=True, structural=True)
-    max_torque: float = parameter(1.0, '1', 'largest torque over the rated one, told to the '
+    max_torque: float = parameter(1.0, '1', 'largest torque over the rated one, written to the '
                                   'drive (6072h)', minimum=0.0, open_minimum=True,
                                   maximum=LARGEST_TARGET / 1000.0, structural=True)
     speed_per_command: float = parameter(1.0, 'unit of x/s per command unit', 'velocity of the '
                                          'output that v = 1 asks for', minimum=0.0,
                                          open_minimum=True, structural=True)
-    max_speed: float = parameter(3000.0, '1/min', 'largest speed of the motor, told to the drive '
-                                 '(6080h)', minimum=0.0, open_minimum=True, structural=True)
+    max_speed: float = parameter(3000.0, '1/min', 'largest speed of the motor, written to the '
+                                 'drive (6080h)', minimum=0.0, open_minimum=True, structural=True)
 
     act_at: str = parameter('arrival', '', 'when the drive applies a command: at its arrival '
                             '(PDO type 255) or at the next sync (type 1)',
                             choices=('arrival', 'sync'), structural=True)
-    sync_lead: float = parameter(0.0015, 's', 'SYNC goes out so long before each sample, so that '
-                                 'its answer is there in time', minimum=0.0, structural=True)
+    sync_lead: float = parameter(0.0015, 's', 'SYNC goes out that long before each sample, so '
+                                 'that its answer is there in time', minimum=0.0, structural=True)
     extrapolate: bool = parameter(True, '', 'bring x from the instant of the SYNC to that of the '
                                   "sample by the drive's velocity", structural=True)
     heartbeat: float = parameter(0.05, 's', 'period of the heartbeats, both ways', minimum=0.002,
                                  maximum=10.0, structural=True)
-    heartbeat_hold: float = parameter(0.15, 's', 'a heartbeat that stays away so long is a fault, '
-                                      'here and in the drive', minimum=0.005, maximum=60.0,
+    heartbeat_hold: float = parameter(0.15, 's', 'a heartbeat that stays away that long is a '
+                                      'fault, here and in the drive', minimum=0.005, maximum=60.0,
                                       structural=True)
     command_hold: float = parameter(0.1, 's', 'the drive stops by itself when no command comes '
-                                    'for so long (event timer of its RPDO)', minimum=0.005,
+                                    'for that long (event timer of its RPDO)', minimum=0.005,
                                     maximum=60.0, structural=True)
     quick_stop: int = parameter(6, '1', 'what the drive does at a quick stop (605Ah): 0 without '
                                 'voltage, 1 and 2 stop and then without voltage, 5 and 6 stop and '
                                 'stay enabled', minimum=0, maximum=8, structural=True)
+    abort_connection: int = parameter(1, '1', 'what the drive does when host or bus is gone, or '
+                                      'NMT stops it (6007h): 1 fault, 2 disable voltage, 3 quick '
+                                      'stop', minimum=1, maximum=3, structural=True)
+    fault_reaction: int = parameter(2, '1', 'what the drive does at a fault (605Eh): 0 without '
+                                    'voltage, 1 slow down ramp, 2 quick stop ramp, 3 and 4 at the '
+                                    'limit of current or voltage', minimum=0, maximum=4,
+                                    structural=True)
+    unsupervised: bool = parameter(False, '', 'true: drive also a drive that would not stop by '
+                                   'itself when host or bus is gone', structural=True)
     transition_limit: float = parameter(2.0, 's', 'longest way to operation enabled',
                                         minimum=0.05, maximum=60.0, structural=True)
     answer_limit: float = parameter(0.3, 's', 'longest wait for an answer to an SDO',

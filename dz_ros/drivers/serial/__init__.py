@@ -1,1 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
 """Microcontrollers on a serial line: framing, protocol, device, driver."""

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A serial line without hardware: a pseudo-terminal that can be unplugged, cut and disturbed."""
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ class Cable:
         self.port = ''
         self._link = Path(link) if link else None
         self._random = np.random.default_rng(seed)
+        self._interval, self._open = -1, False
         self._master = -1
         self._slave = -1
 
@@ -67,7 +69,7 @@ class Cable:
         self.port = str(self._link)
 
     def unplug(self) -> None:
-        """Make the port vanish, as a USB device does: whoever has it open gets an error."""
+        """Make the port vanish, as a USB device does: a process that has it open gets an error."""
         if self._link is not None and self.port:
             self._link.unlink(missing_ok=True)
         for descriptor in (self._master, self._slave):
@@ -84,7 +86,7 @@ class Cable:
         return b''
 
     def write(self, data: bytes) -> None:
-        """Send to the driver; what does not fit, because nobody reads, is lost."""
+        """Send to the driver; what does not fit, because nothing reads, is lost."""
         if self.plugged and data:
             with contextlib.suppress(OSError):
                 os.write(self._master, data)
@@ -106,3 +108,9 @@ class Cable:
     def noise(self, count: int) -> bytes:
         """Return as many bytes of nothing in particular."""
         return self._random.integers(0, 256, count, np.uint8).tobytes()
+
+    def open_contact(self, interval: int, share: float) -> bool:
+        """Return whether a bad contact is open in an interval of this number, as both ways see."""
+        if interval != self._interval:
+            self._interval, self._open = interval, bool(self._random.random() < share)
+        return self._open

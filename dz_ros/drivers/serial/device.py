@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The device's side of the protocol: modes, watchdog, states. No port, no clock (ours).
 
     DISABLED ──SAFE──▶ SAFE ──RUN──▶ RUN               any but ESTOP ──fault──▶ FAULT
@@ -44,6 +45,7 @@ class Device:
         mode: What it does.
         trips: How often its watchdog has acted.
         due: When the next state is sent [µs].
+        seq: Of the newest state sent.
     """
 
     def __init__(self, info: Info, measure: Callable[[], tuple[Sequence[int], int]],
@@ -57,7 +59,7 @@ class Device:
         self._session = 0
         self._period = IDLE_PERIOD_US
         self.due = 0
-        self._seq = 0
+        self.seq = 0
         self._echo = 0
         self._fresh = True      # no command of this session yet
         self._safe = 0
@@ -85,12 +87,12 @@ class Device:
         if fault and self.mode is not Mode.ESTOP:
             self._fault = fault
             self._enter(Mode.FAULT)
-        if self._seq == 0 or now >= self.due:
+        if self.seq == 0 or now >= self.due:
             self.due += self._period
-            if self._seq == 0 or now >= self.due:   # the first, or late by a whole period
+            if self.seq == 0 or now >= self.due:   # the first, or late by a whole period
                 self.due = now + self._period
-            self._seq = (self._seq + 1) % 2 ** 32
-            sent += pack(State(self._session, self._seq, now % 2 ** 32, self._echo, self.mode,
+            self.seq = (self.seq + 1) % 2 ** 32
+            sent += pack(State(self._session, self.seq, now % 2 ** 32, self._echo, self.mode,
                                self.trips % 256, self._fault, tuple(values)).body())
         return sent
 

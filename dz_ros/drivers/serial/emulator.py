@@ -1,10 +1,11 @@
+# SPDX-License-Identifier: Apache-2.0
 """A microcontroller on a pseudo-terminal, to try the driver and the loop without hardware (ours).
 
     plant ── device (or a program) ── cable ── port ◀── driver
 
 The device speaks the whole protocol, with its own watchdog, and has the configured plant behind
-the configured dead-zone. Faults happen to the cable (bytes wrong, lost, added; unplugged) or to
-the device (silent, deaf, frozen, started anew, in fault).
+the configured dead-zone. Faults happen to the cable (bytes wrong, lost, added; unplugged, cut), to
+the device (silent, deaf, frozen, restarted, in fault) or to its states (`tampering`).
 """
 
 from __future__ import annotations
@@ -19,14 +20,17 @@ from typing import Any, ClassVar
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.schema import parameter
 from dz_ros.drivers.emulators import Emulator, Fault
+from dz_ros.drivers.serial import tampering
 from dz_ros.drivers.serial.cable import Cable
+from dz_ros.drivers.serial.emulated_devices import EmulatedDevice, EmulationTarget, Program
 from dz_ros.drivers.serial.framing import Receiver
-from dz_ros.drivers.serial.protocol import Command, decode, FrameError, MAX_VALUES, Request
-from dz_ros.drivers.serial.stand_ins import EmulatedDevice, Program, StandIn
+from dz_ros.drivers.serial.protocol import Command, decode, FrameError, MAX_VALUES, Mode, Request
 from dz_ros.errors import ConfigurationError
 
 SHARE = 0.01
-"""Share of bytes that a fault hits unless it says another one."""
+"""Share of bytes that a fault hits unless it gives another one."""
+CONTACT, OPEN = 0.02, 0.5
+"""An intermittent contact decides after each of these [s]; share in which it is open."""
 
 
 @dataclass(frozen=True)
@@ -51,15 +55,17 @@ class SerialEmulator(Emulator):
     name = 'serial'
     summary = 'a microcontroller on a pseudo-terminal, for the driver serial'
     faults: ClassVar[Mapping[str, str]] = {
-        'unplug': 'the port is gone for so long',
-        'mute': 'nothing comes from the device for so long',
-        'deaf': 'nothing reaches the device for so long',
-        'corrupt': 'for so long a share VALUE of the bytes has a wrong bit (0.01)',
-        'lose': 'for so long a share VALUE of the bytes is lost (0.01)',
+        'unplug': 'the port is gone for S s',
+        'mute': 'nothing comes from the device for S s',
+        'deaf': 'nothing reaches the device for S s',
+        'intermittent': 'for S s nothing passes in a share VALUE (0.5) of intervals of 20 ms',
+        'corrupt': 'for S s a share VALUE of the bytes has a wrong bit (0.01)',
+        'lose': 'for S s a share VALUE of the bytes is lost (0.01)',
         'garbage': 'VALUE bytes of noise both ways at once (1000)',
-        'freeze': 'the device does nothing for so long; the actuator keeps what it has',
-        'restart': 'the device starts anew',
-        'trip': 'its amplifier reports fault VALUE for so long (7)',
+        'freeze': 'the device does nothing for S s; the actuator keeps what it has',
+        'restart': 'the device restarts',
+        'trip': 'its amplifier reports fault VALUE for S s (7)',
+        **tampering.FAULTS,
     }
     Parameters = SerialEmulatorParameters
 
@@ -70,12 +76,18 @@ class SerialEmulator(Emulator):
         if (parameters.values or order) > min(order, MAX_VALUES):
             raise ConfigurationError('values', parameters.values, f'must be at most '
                                      f'{min(order, MAX_VALUES)}')
+        for fault in faults:
+            if fault.name == 'mode' and fault.value not in tuple(Mode) \
+                    and not math.isnan(fault.value):
+                raise ConfigurationError('--fault', f'mode@{fault.start:g}={fault.value:g}',
+                                         f'must have a VALUE of 0 to {max(Mode)}')
         self._cable = Cable(parameters.link, configuration.loop.seed)
-        self._device: StandIn | None = None
-        self._listener = Receiver()
+        self._device: EmulationTarget | None = None
+        self._receiver = Receiver()
         self._moving: int | None = None
         self._happening: set[Fault] = set()
         self._past: set[Fault] = set()
+        self._tampering: tampering.Tampering | None = None
 
     def open(self) -> str:
         """Make the port appear.
@@ -90,8 +102,8 @@ class SerialEmulator(Emulator):
         self._cable.plug()
         return f'serial device on {self._cable.port}'
 
-    def run(self, stopping: Callable[[], bool], say: Callable[[str], None]) -> None:
-        """Be the device until told to stop.
+    def run(self, stopping: Callable[[], bool], log: Callable[[str], None]) -> None:
+        """Be the device until `stopping` returns True.
 
         Raises:
             DriverError: The program has ended.
@@ -99,13 +111,19 @@ class SerialEmulator(Emulator):
         device = self._device
         assert device is not None
         now = time.monotonic_ns() // 1000
+        if self.script:
+            self._tampering = tampering.Tampering(lambda mode: log(f'mode {mode.name.lower()}'))
         while not stopping():
             ends = [end for end in (self._cable.fileno(), device.fileno()) if end >= 0]
             select.select(ends, [], [], max(device.due(now) - now, 0) * 1e-6)
             now = time.monotonic_ns() // 1000
-            self._follow_script(device, now, say)
-            received = self._disturb('deaf', self._cable.read(), say, now)
-            self._cable.write(self._disturb('mute', device.step(received, now), say, now))
+            self._follow_script(device, now, log)
+            received = self._disturb('deaf', self._cable.read(), log, now)
+            sent = device.step(received, now)
+            if self._tampering is not None:
+                sent = self._tampering.pass_on(sent, {fault.name: fault.value
+                                                      for fault in self._happening})
+            self._cable.write(self._disturb('mute', sent, log, now))
 
     def close(self) -> None:
         """Make the port vanish."""
@@ -113,20 +131,23 @@ class SerialEmulator(Emulator):
         if self._device is not None:
             self._device.close()
 
-    def _disturb(self, lost_by: str, data: bytes, say: Callable[[str], None], now: int) -> bytes:
+    def _disturb(self, lost_by: str, data: bytes, log: Callable[[str], None], now: int) -> bytes:
         """Return what of the bytes gets through; note the first command that moves the device."""
         if lost_by == 'deaf' and self._moving is None and data:
-            for body in self._listener.feed(data):
+            for body in self._receiver.feed(data):
                 try:
                     frame = decode(body)
                 except FrameError:
                     continue
                 if isinstance(frame, Command) and frame.request is Request.RUN:
                     self._moving = now
-                    say('running: the script begins')
+                    log('running: the script begins')
         for fault in self._happening:
             share = SHARE if math.isnan(fault.value) else fault.value
             if fault.name == lost_by:
+                return b''
+            if fault.name == 'intermittent' and self._cable.open_contact(
+                    int(now * 1e-6 / CONTACT), OPEN if math.isnan(fault.value) else fault.value):
                 return b''
             if fault.name == 'corrupt' and data:
                 data = self._cable.corrupt(data, share)
@@ -136,7 +157,8 @@ class SerialEmulator(Emulator):
                 data = self._cable.noise(1000 if math.isnan(fault.value) else int(fault.value))
         return data
 
-    def _follow_script(self, device: StandIn, now: int, say: Callable[[str], None]) -> None:
+    def _follow_script(self, device: EmulationTarget, now: int,
+                       log: Callable[[str], None]) -> None:
         """Let begin and end what is due."""
         if self._moving is None or not self.script:
             return
@@ -145,26 +167,28 @@ class SerialEmulator(Emulator):
             self._happening.discard(fault)
             self._past.add(fault)
             self._end(device, fault)
-            say(f'{fault.name} ends')
+            log(f'{fault.name} ends')
         for fault in self.script:
             if t >= fault.start and fault not in self._happening | self._past:
                 self._happening.add(fault)
-                say(f'{fault.name} begins at {t:.3f} s')
+                log(f'{fault.name} begins at {t:.3f} s')
                 self._begin(device, fault)
 
-    def _begin(self, device: StandIn, fault: Fault) -> None:
+    def _begin(self, device: EmulationTarget, fault: Fault) -> None:
         if fault.name == 'unplug':
             self._cable.unplug()
-        elif fault.name == 'restart':
+        elif fault.name in ('restart', 'swap'):
             device.restart()
         elif fault.name == 'freeze':
             device.freeze(True)
         elif fault.name == 'trip':
             device.trip(7 if math.isnan(fault.value) else int(fault.value))
 
-    def _end(self, device: StandIn, fault: Fault) -> None:
+    def _end(self, device: EmulationTarget, fault: Fault) -> None:
         if fault.name == 'unplug':
             self._cable.plug()
+        elif fault.name == 'swap':
+            device.restart()
         elif fault.name == 'freeze':
             device.freeze(False)
         elif fault.name == 'trip':

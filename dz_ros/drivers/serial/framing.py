@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Frames on a line of bytes: COBS and CRC-32, and a receiver that finds its way back.
 
 A frame's body is followed by its CRC-32, least significant byte first; both together are encoded
@@ -20,6 +21,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 import zlib
 
+from dz_ros.core.counted_log import Counted
+
 END = 0
 """The byte that ends a frame and occurs nowhere else."""
 MAX_BODY = 60
@@ -27,6 +30,9 @@ MAX_BODY = 60
 CRC_SIZE = 4
 MAX_LINE = MAX_BODY + CRC_SIZE + 1
 """Longest frame on the line, without its end [bytes]; COBS adds one to less than 254."""
+NO_CODE, CHECKSUM, SHORT, LONG = ('frames that are not COBS', 'frames with a wrong check sum',
+                                  'frames too short', 'frames too long')
+"""Causes by which what a receiver throws away is counted."""
 
 
 def cobs_encode(data: bytes) -> bytes:
@@ -74,12 +80,12 @@ def pack(body: bytes) -> bytes:
 class Receiver:
     """Finds frames in a stream of bytes, whatever else is in it; needs a bounded memory.
 
-    Attributes:
-        counts: What was thrown away, by reason: `code` not COBS, `crc`, `short`, `long`.
+    Args:
+        refused: Counts what was thrown away, by cause.
     """
 
-    def __init__(self) -> None:
-        self.counts = dict.fromkeys(('code', 'crc', 'short', 'long'), 0)
+    def __init__(self, refused: Counted | None = None) -> None:
+        self.refused = refused or Counted()
         self._line = bytearray()
         self._skipping = False
 
@@ -101,7 +107,7 @@ class Receiver:
         """Add to the line; begin to skip where it is longer than any frame."""
         if not self._skipping and len(self._line) + len(piece) > MAX_LINE:
             self._skipping = True
-            self.counts['long'] += 1
+            self.refused.add(LONG)
             self._line.clear()
         if not self._skipping:
             self._line += piece
@@ -110,11 +116,11 @@ class Receiver:
         """Return the body of a line, None where it is none."""
         data = cobs_decode(line)
         if data is None:
-            self.counts['code'] += 1
+            self.refused.add(NO_CODE)
         elif len(data) <= CRC_SIZE:
-            self.counts['short'] += 1
+            self.refused.add(SHORT)
         elif zlib.crc32(data[:-CRC_SIZE]) != int.from_bytes(data[-CRC_SIZE:], 'little'):
-            self.counts['crc'] += 1
+            self.refused.add(CHECKSUM)
         else:
             return data[:-CRC_SIZE]
         return None

@@ -1,19 +1,29 @@
-"""The host's side of the line: two threads, so that nobody waits for a port (ours).
+# SPDX-License-Identifier: Apache-2.0
+"""The host's side of the line: two threads, so that no caller waits for a port (ours).
 
 The reader keeps the newest state, greets the device, and opens the port again for as long as it
 takes when it has gone; the writer sends the newest command, and only ever that one. What the
-device's watchdog lives on comes from `send` alone: neither thread repeats a command by itself.
+device's watchdog lives on comes from `send` alone: a command to run is never repeated. One to stop
+(SAFE, DISABLE) is, until the device answers that it has taken it.
+
+A state counts only as far as `state_monitor` takes it. A difference between what was asked and
+what the device does is remembered like a broken line: until `mend`. Power is given by `grant`, for
+one session: in a later one, which began without the operator, the device gets only
+requests to stay without.
+
+Over 300 lines: reader, writer and session share one lock and one state, which a cut would hide.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import secrets
 import threading
 import time
 from typing import Any
 
+from dz_ros.core.counted_log import Counted
 from dz_ros.drivers.serial.framing import pack, Receiver
 from dz_ros.drivers.serial.protocol import (
     Command,
@@ -25,6 +35,7 @@ from dz_ros.drivers.serial.protocol import (
     State,
     VersionError,
 )
+from dz_ros.drivers.serial.state_monitor import StateMonitor, Wish
 from dz_ros.errors import DriverError, MissingDependencyError
 
 READ_WAIT = 0.02
@@ -35,16 +46,8 @@ RETRY = 0.2
 """A port that is not there is tried again after each of these [s]."""
 GREET = 0.05
 """A greeting that is not answered is repeated after each of these [s]."""
-
-
-@dataclass(frozen=True)
-class Wish:
-    """The newest that the host wants: request, v and safe command [counts], how long [ms]."""
-
-    request: Request
-    v: int
-    safe: int
-    hold_ms: int
+REPEAT = 0.02
+"""A request to stop that is not answered is repeated after each of these [s]."""
 
 
 class Link:
@@ -54,29 +57,35 @@ class Link:
         port: Device file, or a URL that pyserial knows.
         baudrate: Bits per second.
         period_us: Interval between states [µs].
-        silence: A device that says nothing for so long is greeted anew [s].
+        silence: A device without a new state or an answer for longer is greeted again [s].
 
     Attributes:
-        counts: Frames and connections, by what became of them.
-        info: What the device said it is; None before it did.
-        broken: Why line or device is not the one greeted first, in words; stays until `mend`.
+        counts: States taken and connections.
+        refused: Counts frames that were damaged, not taken or not written, by cause.
+        monitor: Judge of the states.
+        info: Description the device sent; None before it did.
+        seq: Of the newest command written.
+        broken: Why line or device is not the one greeted first, as text; stays until `mend`.
     """
 
     def __init__(self, port: str, baudrate: int, period_us: int, silence: float) -> None:
         self.port, self.baudrate, self.period_us = port, baudrate, period_us
         self._silence = silence
-        self.counts = dict.fromkeys(('states', 'other frames', 'strange frames', 'not written',
-                                     'connections'), 0)
+        self.counts = dict.fromkeys(('states', 'connections'), 0)
+        self.refused = Counted()
+        self.monitor = StateMonitor(self.refused)
         self.info: Info | None = None
         self.broken = ''
         self._news = threading.Condition()
         self._serial: Any = None
-        self._receiver = Receiver()
+        self._receiver = Receiver(self.refused)
         self._session = 0
         self._state: tuple[State, float] | None = None
         self._wish: Wish | None = None
-        self._sent: dict[int, Wish] = {}
-        self._seq = 0
+        self._last_wish: Wish | None = None
+        self.seq = 0
+        self._identified = False
+        self._granted = 0
         self._greeted = 0.0
         self._problem = ''
         self._closing = False
@@ -101,14 +110,15 @@ class Link:
             raise MissingDependencyError("driver.name = 'serial' needs pyserial: pip install "
                                          "'dz_ros[serial]'") from None
         self._closing, self.info, self.broken, self._problem = False, None, '', ''
-        self._state, self._wish, self._session = None, None, 0
+        self._state, self._wish, self._session, self._granted = None, None, 0, 0
+        self.monitor.forget()
         self._connect()
         self._threads = [threading.Thread(target=work, name=f'{self.port} {work.__name__}',
                                           daemon=True) for work in (self._read, self._write)]
         for thread in self._threads:
             thread.start()
         if not self.wait(lambda: self._state is not None and self.info is not None, patience):
-            raise DriverError(f'{self.port}: ' + (self.trouble or (
+            raise DriverError(f'{self.port}: ' + (self.fault or (
                 f'nothing that speaks the protocol answers within {patience:g} s at '
                 f'{self.baudrate} baud')))
         assert self.info is not None
@@ -134,9 +144,8 @@ class Link:
         return self._state
 
     def taken(self) -> Wish | None:
-        """Return the newest wish that the device says it has taken; None = not known."""
-        found = self._state
-        return None if found is None else self._sent.get(found[0].echo)
+        """Return the newest wish that the device has confirmed; None = not known."""
+        return None if self._state is None else self.monitor.answered
 
     def wait(self, done: Callable[[], bool], patience: float) -> bool:
         """Wait until something holds, looking whenever a frame has arrived."""
@@ -150,13 +159,18 @@ class Link:
             DriverError: It is not there.
         """
         if self._state is None or self._problem:
-            raise DriverError(f'{self.port}: {self.trouble or "no answer yet"}')
+            raise DriverError(f'{self.port}: {self.fault or "no answer yet"}')
         with self._news:
-            self.broken, self._wish = '', None
+            self.broken, self._wish, self._last_wish = '', None, None
+            self.monitor.pardon()
+
+    def grant(self) -> None:
+        """Let commands of this session give the device power; a later session needs another."""
+        self._granted = self._session
 
     @property
-    def trouble(self) -> str:
-        """What is wrong with the line, or with who is at its end."""
+    def fault(self) -> str:
+        """What is wrong with the line, or with the device at its end."""
         return self._problem or self.broken
 
     # Threads.
@@ -176,66 +190,113 @@ class Link:
                 self._disconnect('the line has gone')
                 continue
             for body in self._receiver.feed(data):
-                self._hear(body)
+                self._receive(body)
             self._look(time.monotonic())
 
     def _look(self, now: float) -> None:
         """Greet a device that has not answered yet, or does no more."""
-        if self._state is not None and now - self._state[1] > self._silence:
+        if self._state is not None:
             with self._news:
-                self._break(f'the device has said nothing for {self._silence:g} s')
+                silent = now - self._state[1] > self._silence
+                if silent or self.monitor.outstanding(now) > self._silence:
+                    stale = self.monitor.stale
+                    what = (f'{stale}: nothing new' if stale else 'the device has sent nothing'
+                            if silent else 'the device has taken no command')
+                    self._break(f'{what} for {self._silence:g} s')
         if self._state is None and now - self._greeted > GREET:
             self._greet()
 
     def _write(self) -> None:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._closing or self._wish is not None)
+                self._news.wait_for(lambda: self._closing or self._wish is not None,
+                                    REPEAT if self._last_wish is not None else None)
                 if self._closing and self._wish is None:
                     return
-                wish, self._wish = self._wish, None
-                if wish is not None and wish.request is Request.RUN and self.trouble:
-                    # Wished before the line broke: it must not move the device after it.
-                    wish = replace(wish, request=Request.SAFE)
-                self._seq = (self._seq + 1) % 2 ** 32
-                seq, session = self._seq, self._session
-            if wish is not None:
-                self._sent[seq] = wish
-                self._sent.pop(seq - 256, None)     # has been answered, or never will be
-                self._put(Command(session, seq, wish.v, wish.safe, wish.hold_ms, wish.request)
-                          .body())
+                wish = self._wish or self._unanswered()
+                self._wish = None
+                if wish is None:
+                    self._last_wish = None
+                    continue
+                wish = self._permitted(wish)
+                self._last_wish = None if wish.request is Request.RUN else wish
+                self.seq = self.seq % (2 ** 32 - 1) + 1       # 0 answers no command
+                seq, session = self.seq, self._session
+                written = self.monitor.writing(seq, wish, time.monotonic())
+            self._put(Command(session, seq, wish.v, wish.safe, wish.hold_ms, wish.request).body())
+            written.ended = time.monotonic()
 
-    def _hear(self, body: bytes) -> None:
+    def _unanswered(self) -> Wish | None:
+        """Return a request to stop that the device has not taken yet, None where there is none."""
+        wish = self._last_wish
+        if wish is None or wish.request not in (Request.SAFE, Request.DISABLE):
+            return None
+        return wish if self._state is not None and self.monitor.unanswered else None
+
+    def _permitted(self, wish: Wish) -> Wish:
+        """Return what of a wish may be sent now.
+
+        It may have been wished before the line broke: it must not move the device after it, nor
+        give it power in a session the operator has not seen.
+        """
+        if wish.request is Request.RUN and self.fault:
+            wish = replace(wish, request=Request.SAFE)
+        if wish.request in (Request.RUN, Request.SAFE) and self._session != self._granted:
+            wish = replace(wish, request=Request.DISABLE)
+        return wish
+
+    def _receive(self, body: bytes) -> None:
         """Take a frame that came over whole."""
+        now = time.monotonic()
         try:
             frame = decode(body)
         except VersionError as error:
-            self._problem = f'the device {error}'
+            with self._news:
+                self._deny(f'the device {error}')
             frame = None
         except FrameError:
             frame = None
         with self._news:
-            if isinstance(frame, State) and frame.session == self._session:
-                self._state = frame, time.monotonic()
-                self.counts['states'] += 1
-            elif isinstance(frame, State) and self._state is not None:
-                self._break('the device has started anew' if frame.session == 0 else
+            if isinstance(frame, State) and frame.session == self._session and self._identified:
+                self._take(frame, now)
+            elif (isinstance(frame, State) and self._state is not None
+                  and not self.monitor.was_held_back(frame)):
+                self.monitor.restarted |= frame.session == 0
+                self._break('the device has restarted' if frame.session == 0 else
                             'the device has been greeted by another host')
             elif isinstance(frame, Info) and frame.session == self._session:
-                if self.info is None or frame.shape == self.info.shape:
-                    self.info, self._problem = frame, ''
+                if self.info is None or frame.identity == self.info.identity:
+                    self.info, self._problem, self._identified = frame, '', True
                 else:
-                    self._problem = f'another device answers: {frame.name!r}'
+                    self._deny(f'another device answers: {frame.name!r}')
             elif isinstance(frame, State):
-                self.counts['other frames'] += 1    # of the session before this one
+                self.refused.add('states of another session')
             else:
-                self.counts['strange frames'] += 1
+                self.refused.add('frames of no use here')
             self._news.notify_all()
+
+    def _take(self, state: State, now: float) -> None:
+        """Take a state of this session, as far as it is new, and keep what is wrong with it."""
+        assert self.info is not None
+        if len(state.values) != self.info.values:
+            self.refused.add('states with another number of values')
+            return
+        taken, difference = self.monitor.take(state, now)
+        if taken:
+            self._state = state, now
+            self.counts['states'] += 1
+        self.broken = self.broken or difference
+
+    def _deny(self, reason: str) -> None:
+        """Ignore what answers until the right device does."""
+        self._problem = reason
+        if self._state is not None:
+            self._break(reason)
 
     def _break(self, reason: str) -> None:
         """Begin a new session, and remember why, unless it was broken already."""
         self.broken = self.broken or reason
-        self._state = None
+        self._state, self._identified = None, False
         self._greeted = 0.0
 
     # The port.
@@ -258,10 +319,12 @@ class Link:
         self._greet()
 
     def _greet(self) -> None:
-        """Begin a session of a number nobody has had."""
+        """Begin a session of a new number."""
         with self._news:
             if self._greeted == 0.0 or self._session == 0:
                 self._session = secrets.randbelow(2 ** 32 - 1) + 1
+                self._identified = False
+                self.monitor.begin()
             self._greeted = time.monotonic()
             session = self._session
         # The zero ends whatever garbage the device may have of before.
@@ -276,7 +339,7 @@ class Link:
             try:
                 port.write(before + pack(body))
             except (OSError, TypeError, ValueError):    # a dead line shows at the reader
-                self.counts['not written'] += 1
+                self.refused.add('frames not written')
 
     def _disconnect(self, reason: str) -> None:
         with self._news:
@@ -286,10 +349,6 @@ class Link:
         if port is not None:
             with self._writing:
                 port.close()
-
-    def rejected(self) -> dict[str, int]:
-        """Return how many lines were damaged, by what was wrong with them."""
-        return dict(self._receiver.counts)
 
 
 def _why(error: Exception) -> str:

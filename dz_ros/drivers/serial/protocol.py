@@ -1,4 +1,5 @@
-"""What host and device say to each other, version 1; little-endian, on `framing`'s frames (ours).
+# SPDX-License-Identifier: Apache-2.0
+"""Messages between host and device, version 1; little-endian, on `framing`'s frames (ours).
 
     HELLO    host → device   session, period of the states
     INFO     device → host   answer to HELLO: what it measures, limit, scales, name
@@ -6,13 +7,13 @@
     STATE    device → host   every period (0.1 s before the first HELLO): values, mode, fault, the
                              newest command taken
 
-- **Session**: a number the host draws for each connection. A device that has started anew knows
-  none (0), takes no command until it is greeted, and is seen to have started anew.
+- **Session**: a number the host draws for each connection. A device that has restarted knows
+  none (0), takes no command until it is greeted, and is seen to have restarted.
 - **Level, not edge**: every COMMAND carries the whole request, so a lost one is healed by the
   next; only leaving FAULT or ESTOP needs a request of its own, RESET.
 - **Watchdog**: a COMMAND is good for `hold` ms. Then the device takes `safe` by itself, and
   counts a trip.
-- **Units**: commands and values are integers, in counts; INFO says how much a count is. No NaN
+- **Units**: commands and values are integers, in counts; INFO gives the size of a count. No NaN
   can travel.
 
 `docs/serial.md` has the bytes in a table; `examples/firmware` the same in C.
@@ -30,11 +31,11 @@ import numpy as np
 
 VERSION = 1
 MAX_VALUES = 4
-"""x, x', … at most so many."""
+"""x, x', … at most this number."""
 COUNT_LIMIT = 2 ** 31 - 1
 """Largest number of counts, either way."""
 MAX_HOLD_MS = 1000
-"""A device holds no command longer than this, whatever it was told [ms]."""
+"""A device holds no command longer than this, whatever was asked [ms]."""
 
 
 class Request(enum.IntEnum):
@@ -132,9 +133,9 @@ class Info:
     LAYOUT: ClassVar[struct.Struct] = struct.Struct('<BBIBif4f16s')
 
     @property
-    def shape(self) -> tuple[object, ...]:
-        """What must not change when a device comes back."""
-        return self.values, self.limit, self.command_scale, self.state_scales
+    def identity(self) -> tuple[object, ...]:
+        """What must not change when a device comes back: all but the session."""
+        return self.name, self.values, self.limit, self.command_scale, self.state_scales
 
     def body(self) -> bytes:
         """Return the body of its frame."""

@@ -1,5 +1,5 @@
 // What the page can ask of the loop. The e-stop is one click or one key, wherever the focus is, and
-// is asked again until it is answered; whatever else is only asked of a server that is heard.
+// is sent again until it is answered; anything else is sent only to a server that is connected.
 
 const CONFIRM = 1000;   // ms until an e-stop without an answer is called so
 const TRIES = 30;       // times it is asked
@@ -22,10 +22,10 @@ export class Actions {
     for (const what of ['activate', 'deactivate', 'reset']) {
       page[what].addEventListener('click', () => this.do(what, {}, page.answer));
     }
-    page.kick.addEventListener('submit', (event) => {
+    page.pulse.addEventListener('submit', (event) => {
       event.preventDefault();
-      this.do('kick', {acceleration: read(page['kick-size'].value),
-                       duration: read(page['kick-length'].value)}, page['kick-answer']);
+      this.do('disturbance_pulse', {acceleration: read(page['pulse-size'].value),
+                       duration: read(page['pulse-length'].value)}, page['pulse-answer']);
     });
   }
 
@@ -35,13 +35,14 @@ export class Actions {
     const live = hello.mode === 'live';
     this.page['nodes-panel'].hidden = !live;
     this.page.estop.hidden = !live;
-    this.page['kick-panel'].hidden = !live || !hello.simulated;
+    this.page['pulse-panel'].hidden = !live || !hello.simulated;
+    this.page['pulse-unit'].textContent = hello.pulse_unit === '1' ? '' : hello.pulse_unit || '';
     document.body.dataset.may = this.may ? 'act' : 'look';
     this.enable();
-    if (live && !this.may) say(this.page.answer, false, this.why);
+    if (live && !this.may) show(this.page.answer, false, this.why);
   }
 
-  // Hear whether there is anything that could do what is asked, and why not.
+  // Enable or disable every button but the e-stop, with the reason.
   use(usable, why) {
     if (usable === this.usable) return;
     this.usable = usable;
@@ -67,10 +68,10 @@ export class Actions {
       if (number !== this.stopping) return;         // it has been pressed again
       if (answer.ok) {
         page.alarm.hidden = true;
-        say(page.answer, true, answer.message);
+        show(page.answer, true, answer.message);
         return;
       }
-      say(page.answer, false, answer.message);
+      show(page.answer, false, answer.message);
       if (!answer.late && !answer.lost) {
         this.warn(`E-STOP NOT SENT: ${answer.message}`);
         setTimeout(() => { if (number === this.stopping) page.alarm.hidden = true; }, 8000);
@@ -93,10 +94,10 @@ export class Actions {
   }
 
   async do(what, details, place) {
-    say(place, true, '…');
+    show(place, true, '…');
     const answer = this.link.silent ? {ok: false, message: 'not sent: no word from the server'}
       : await this.link.ask(what, details);
-    say(place, answer.ok, answer.late ? `${answer.message}: what came of it is not known`
+    show(place, answer.ok, answer.late ? `${answer.message}: what came of it is not known`
       : answer.message);
     return answer;
   }
@@ -107,7 +108,7 @@ function read(text) {
   return Number.isFinite(value) && text.trim() ? value : text;
 }
 
-export function say(place, ok, message) {
+export function show(place, ok, message) {
   place.textContent = message;
   place.dataset.ok = ok ? 'yes' : 'no';
 }

@@ -6,7 +6,7 @@ import {make} from './words.js';
 const BINS = 48;
 const LATE = 0.001;     // s: what counts as late everywhere in dz_ros
 
-// What is drawn of some times; of a run that is not here whole the server tells the same.
+// Counts in bins, quantiles, late ones; the server computes the same for a thinned run.
 function counted(values, base, period) {
   const count = values.length;
   if (!count) return {count};
@@ -42,7 +42,7 @@ export class Histogram {
   }
 
   draw(store, from, to) {
-    if (store.whole === false) {        // thinned rows tell nothing of how often
+    if (store.whole === false) {        // thinned rows have no counts
       this.paint(store.counted?.from === from && store.counted.to === to
         ? store.counted[this.name] : null);
       return;

@@ -1,17 +1,17 @@
-// The one connection to the server: it comes back by itself, knows when it last heard, and how old
-// what it hears is. Arrival − sending is the clocks' difference plus the way; its minimum is taken
-// for the difference, so what is later than the quickest message is old by as much.
+// The one connection to the server: it reconnects by itself and knows the age of what it receives.
+// Arrival − sending is the clocks' difference plus the delay; its minimum is taken for the
+// difference, so a message later than the quickest is old by as much.
 
 const AGAIN = 1000;     // ms until the next try
 const LIVE = 1;         // kind of a frame: rows as they come
 const DRIFT = 1e-4;     // s a second by which two clocks may run apart
-const SILENT = 1000;    // ms without a word
-const PATIENCE = 30000; // ms for an answer
+const SILENT = 1000;    // ms without a message
+const ANSWER_LIMIT = 30000; // ms for an answer
 
 export class Link {
   constructor(handlers) {
-    this.handlers = handlers;       // kind → what hears it; rows(frame), closed(reason)
-    this.heard = -Infinity;         // performance.now() of the last message
+    this.handlers = handlers;       // kind → handler; rows(frame), closed(reason)
+    this.received = -Infinity;         // performance.now() of the last message
     this.open = false;
     this.reason = '';
     this.number = 0;
@@ -22,13 +22,13 @@ export class Link {
     this.connect();
   }
 
-  // Whether nothing has been heard for longer than the server is ever silent.
-  get silent() { return performance.now() - this.heard > SILENT; }
+  // Whether nothing has been received for longer than the server is ever silent.
+  get silent() { return performance.now() - this.received > SILENT; }
 
-  // The time of the server's clock [s], NaN before its first word.
+  // The time of the server's clock [s], NaN before its first message.
   get time() { return 1e-3 * performance.now() - this.offset; }
 
-  // Hear when something was sent.
+  // Correct the clocks' difference by a message's time of sending.
   sent(time) {
     if (!Number.isFinite(time)) return;
     const now = 1e-3 * performance.now();
@@ -39,7 +39,7 @@ export class Link {
 
   takeToken() {
     const token = location.hash.slice(1);
-    if (token) {        // out of sight, so that nobody reads it off the screen or a bookmark
+    if (token) {        // out of the address bar, the screen and bookmarks
       sessionStorage.setItem('dz_ros-token', token);
       history.replaceState(null, '', location.pathname);
     }
@@ -54,7 +54,7 @@ export class Link {
       socket.send(JSON.stringify({hello: 1, token: this.token, seconds}));
     };
     socket.onmessage = ({data}) => {
-      this.heard = performance.now();
+      this.received = performance.now();
       this.open = true;
       if (typeof data === 'string') this.text(JSON.parse(data));
       else this.numbers(data);
@@ -98,7 +98,7 @@ export class Link {
   }
 
   // Ask for something; the answer comes as {ok, message} or as a frame.
-  ask(what, details = {}, patience = PATIENCE) {
+  ask(what, details = {}, limit = ANSWER_LIMIT) {
     if (!this.open || this.socket.readyState !== WebSocket.OPEN) {
       return Promise.resolve({ok: false, lost: true, message: 'not connected'});
     }
@@ -107,8 +107,8 @@ export class Link {
     return new Promise((settle) => {
       const late = setTimeout(() => {
         this.waiting.delete(id);
-        settle({ok: false, late: true, message: `no answer for ${patience / 1e3} s`});
-      }, patience);
+        settle({ok: false, late: true, message: `no answer for ${limit / 1e3} s`});
+      }, limit);
       this.waiting.set(id, (answer) => { clearTimeout(late); settle(answer); });
     });
   }

@@ -20,12 +20,12 @@ const page = Object.fromEntries([...document.querySelectorAll('[id]')].map((node
 
 const app = {
   link: null, hello: null, status: null, rowsAt: NaN, stores: [], plots: null, bars: [],
-  tiles: null, finished: false, dirty: true, cost: 0, drawnAt: 0, saidAt: 0,
+  tiles: null, finished: false, dirty: true, cost: 0, drawnAt: 0, writtenAt: 0,
 };
 const view = new View((what) => {
   app.dirty = true;
   if (what === 'window') app.scrub?.moved();
-  if (what === 'cursor') app.saidAt = 0;
+  if (what === 'cursor') app.writtenAt = 0;
 });
 const nodes = new Nodes(page.nodes, page.recording);
 const events = new Events(page.events);
@@ -40,6 +40,7 @@ function hello(message) {
   page.title.textContent = message.title;
   page.place.textContent = message.mode === 'run' ? message.runs.join('  ·  ')
     : `namespace ${message.namespace}, kept for ${message.minutes} min`;
+  showAxes(message);
   events.clear();
   app.actions.allow(message);
   app.parameters.show(message, message.mode === 'live');
@@ -56,6 +57,19 @@ function hello(message) {
   app.scrub.show(message.mode === 'run' ? app.stores : []);
   if (message.mode === 'run') load();
   else view.live();
+}
+
+// The axes of a loop of several. The one that is shown is the same for all viewers of this server.
+function showAxes(message) {
+  const names = message.axes || [];
+  page['axis-choice'].hidden = names.length < 2;
+  page.axis.replaceChildren(...names.map((name) => new Option(name, name)));
+  page.axis.value = message.axis || '';
+}
+
+async function chooseAxis() {
+  const answer = await app.link.ask('axis', {axis: page.axis.value});
+  if (!answer.ok) page.axis.value = app.hello.axis;
 }
 
 async function load() {
@@ -86,7 +100,6 @@ function rows(frame) {
   app.stores[0].append(frame.values, frame.count);
   app.rowsAt = frame.time;
   view.reach(app.stores[0].first, app.stores[0].last);
-  app.finished = false;
   app.dirty = true;
 }
 
@@ -101,6 +114,7 @@ function facts(message) {
 function happened(event) {
   events.add(event);
   if (event.event === 'finished') app.finished = true;
+  if (event.event === 'started') app.finished = false;
   app.dirty = true;
 }
 
@@ -114,8 +128,8 @@ function frame(now) {
     app.plots.draw(app.stores);
     app.cost = performance.now() - begun;
   }
-  if (now - app.saidAt > WORDS) {
-    app.saidAt = now;
+  if (now - app.writtenAt > WORDS) {
+    app.writtenAt = now;
     words();
   }
 }
@@ -124,7 +138,7 @@ let barsAt = 0;
 
 function words() {
   const [state, word, why, usable] = condition({...app, view});
-  const fresh = ['live', 'paused', 'recorded', 'fault', 'waiting'].includes(state);
+  const fresh = ['live', 'paused', 'recorded', 'fault', 'waiting', 'ended'].includes(state);
   if (document.body.dataset.state !== state) document.body.dataset.state = state;
   if (page['state-word'].textContent !== word) page['state-word'].textContent = word;
   if (page['state-why'].textContent !== why) page['state-why'].textContent = why;
@@ -133,18 +147,18 @@ function words() {
   page.pause.setAttribute('aria-pressed', String(!view.follow));
   if (!app.tiles) return;
   const silent = state === 'off' || app.link.silent;
-  nodes.say(app.status, silent);
+  nodes.show(app.status, silent);
   const [from, to] = view.window;
-  app.tiles.say(app.stores[0], view.cursor, from, to, fresh);
-  app.plots.say(fresh || view.cursor !== null ? app.stores : [], view.cursor);
+  app.tiles.show(app.stores[0], view.cursor, from, to, fresh);
+  app.plots.showValues(fresh || view.cursor !== null ? app.stores : [], view.cursor);
   page['cursor-time'].textContent = view.cursor === null ? '–' : seconds(view.cursor, 3);
   const record = fresh && app.status?.recording;
-  app.tiles.say2('recording', !fresh ? '–' : record ? `${record['size [MB]'] ?? '?'} MB` : 'off',
+  app.tiles.set('recording', !fresh ? '–' : record ? `${record['size [MB]'] ?? '?'} MB` : 'off',
                  record ? 'good' : '');
   if (performance.now() - barsAt > 500) {
     barsAt = performance.now();
     for (const bars of app.bars) bars.draw(app.stores[0], from, to);
-    app.tiles.say2('period', fresh ? app.bars[0].words.textContent.match(/p99 ([\d.]+)/)?.[1]
+    app.tiles.set('period', fresh ? app.bars[0].words.textContent.match(/p99 ([\d.]+)/)?.[1]
       ?.concat(' ms') ?? '–' : '–');
   }
 }
@@ -167,6 +181,7 @@ function wire() {
     else view.live();
   });
   page.span.addEventListener('change', () => view.set({span: Number(page.span.value)}));
+  page.axis.addEventListener('change', chooseAxis);
   page['zoom-in'].addEventListener('click', () => view.zoom(0.5));
   page['zoom-out'].addEventListener('click', () => view.zoom(2));
   page.back.addEventListener('click', () => view.pan(-0.5));
@@ -187,4 +202,4 @@ app.parameters = new Parameters(page.parameters, app.actions);
 app.scrub = new Scrub(page, view, app.link, detail);
 wire();
 requestAnimationFrame(frame);
-window.dzRos = {app, view};     // for whoever looks with the browser's tools
+window.dzRos = {app, view};     // for the browser's developer tools

@@ -5,8 +5,8 @@ import {make} from './words.js';
 const LEVELS = ['ok', 'warn', 'error', 'stale'];
 const SHOWN = ['rate [Hz]', 'period p99 [ms]', 'round trip p99 [ms]', 'state to command p99 [ms]',
                'late by more than 1 ms', 'periods skipped', 'messages lost'];
-const MOST = 200;
-const NEAR = 6;         // an event said again among so many newest ones is counted, not listed
+const MAX_EVENTS = 200;
+const NEAR = 6;         // an event equal to one of this number of newest ones is counted, not listed
 
 export class Nodes {
   constructor(list, recording) {
@@ -15,7 +15,7 @@ export class Nodes {
     this.rows = new Map();
   }
 
-  say(status, silent) {
+  show(status, silent) {
     for (const node of status?.nodes || []) {
       let row = this.rows.get(node.name);
       if (!row) {
@@ -32,8 +32,8 @@ export class Nodes {
       const gone = node.gone || silent;
       const {parts} = row;
       row.item.dataset.level = gone ? 'stale' : LEVELS[Math.min(node.level, 3)];
-      set(parts.mode, gone ? 'not heard' : node.mode || node.values.state || '');
-      set(parts.message, gone ? `last word ${node.age.toFixed(0)} s ago`
+      set(parts.mode, gone ? 'silent' : node.mode || node.values.state || '');
+      set(parts.message, gone ? `last message ${node.age.toFixed(0)} s ago`
         : node.reason && node.mode !== 'running' ? node.reason : node.message);
       const values = gone ? [] : SHOWN.filter((name) => name in node.values)
         .map((name) => [name, node.values[name]]);
@@ -71,19 +71,19 @@ export class Events {
 
   add(event) {
     const [text, tint] = this.read(event);
-    // What flickers must not push out of sight what somebody did.
+    // A flickering mode must not push actions out of the list.
     const kept = event.mode === 'lost' ? this.lost : this.found;
     if (tint !== '--grey') kept.push({...event, text, tint});
-    if (kept.length > MOST) kept.shift();
+    if (kept.length > MAX_EVENTS) kept.shift();
     if (event.event === 'configuration' && tint === '--grey' && this.stated.has(event.node)) return;
     this.stated.add(event.node);
     const stamp = `${event.stamp.toFixed(2)} s`;
-    const twin = [...this.list.children].slice(0, NEAR).find((item) => item.dz.text === text);
-    if (twin) {         // what flickers is one line with a count
-      twin.dz.times += 1;
-      twin.dz.stamp.textContent = stamp;
-      twin.dz.count.textContent = ` ×${twin.dz.times}`;
-      this.list.prepend(twin);
+    const same = [...this.list.children].slice(0, NEAR).find((item) => item.dz.text === text);
+    if (same) {         // one line with a count
+      same.dz.times += 1;
+      same.dz.stamp.textContent = stamp;
+      same.dz.count.textContent = ` ×${same.dz.times}`;
+      this.list.prepend(same);
       return;
     }
     const dz = {text, times: 1, stamp: make('b', {}, stamp), count: make('span', {})};
@@ -91,7 +91,7 @@ export class Events {
     item.dz = dz;
     item.style.borderColor = `var(${tint})`;
     this.list.prepend(item);
-    if (this.list.children.length > MOST) this.list.lastChild.remove();
+    if (this.list.children.length > MAX_EVENTS) this.list.lastChild.remove();
   }
 
   marks() {

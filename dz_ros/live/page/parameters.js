@@ -1,7 +1,7 @@
 // Forms for the parameters that may change while the loop runs: names, units and ranges are the
 // nodes' own, and so is the refusal.
 
-import {say} from './actions.js';
+import {show} from './actions.js';
 import {make} from './words.js';
 
 export class Parameters {
@@ -11,7 +11,7 @@ export class Parameters {
     this.forms = new Map();
   }
 
-  // Show these parameters; what somebody is typing stays.
+  // Show these parameters; a value being typed stays.
   show(facts, live) {
     this.place.hidden = !live;
     const keys = facts.parameters.map(({key}) => key).join();
@@ -42,22 +42,29 @@ export class Parameters {
     const undo = make('button', {type: 'button'}, 'Undo');
     const form = make('form', {class: 'fields'});
     form.noValidate = true;
+    const boxes = new Map();        // heading → fieldset
     for (const item of items) {
+      if (!boxes.has(item.group)) {
+        boxes.set(item.group, make('fieldset', {}, make('legend', {}, item.group)));
+        form.append(boxes.get(item.group));
+      }
       const input = item.choices.length ? make('select', {}, ...item.choices.map((choice) =>
         make('option', {value: choice}, choice)))
         : item.kind === 'bool' ? make('input', {type: 'checkbox'})
           : make('input', {type: 'text', spellcheck: false, autocomplete: 'off'});
       input.name = item.key;
       const unit = item.unit && item.unit !== '1' ? ` [${item.unit}]` : '';
-      const hint = `${item.description}${unit}${item.range ? `, ${item.range}` : ''}`;
+      const hint = `${item.description}${item.range ? `, ${item.range}` : ''}`;
       const field = {input, item, touched: false};
       input.addEventListener('input', () => this.touch(field, true));
       fields.set(item.key, field);
-      const label = make('label', {title: hint}, make('span', {},
-        item.key.replace(/^(controller|trajectory|plant)\./, ''),
+      const name = item.key.replace(/^(controller|trajectory|plant)\.(dead_zone\.)?/, '');
+      const label = make('label', {}, make('span', {}, name,
+        item.symbol && item.symbol !== name ? make('b', {}, ` ${item.symbol}`) : '',
         make('small', {}, unit)), input);
-      input.setAttribute('aria-description', hint);
-      form.append(label);
+      const help = make('p', {class: 'help', id: `help-${item.key}`}, hint);
+      input.setAttribute('aria-describedby', help.id);
+      boxes.get(item.group).append(make('div', {}, label, help));
     }
     form.append(make('div', {class: 'row'}, apply, undo), answer);
     form.addEventListener('submit', (event) => {
@@ -69,7 +76,7 @@ export class Parameters {
         this.touch(field, false);
         write(field.input, field.item);
       }
-      say(answer, true, '');
+      show(answer, true, '');
     });
     this.forms.set(section, {fields});
     const open = section === 'plant';
@@ -85,7 +92,7 @@ export class Parameters {
   async send(fields, answer) {
     const changed = [...fields.values()].filter((field) => field.touched);
     if (!changed.length) {
-      say(answer, true, 'nothing has been changed');
+      show(answer, true, 'nothing has been changed');
       return;
     }
     const values = Object.fromEntries(changed.map(({input, item}) => [item.key, read(input, item)]));

@@ -1,4 +1,4 @@
-// The plots over time: what each one shows, how it is drawn, what it says in words.
+// The plots over time: content, drawing, values beside the names.
 
 import uPlot from './vendor/uPlot.esm.js';
 import {frames} from './frames.js';
@@ -6,8 +6,7 @@ import {band, marks, reach, rules, stack} from './painters.js';
 import {colour} from './theme.js';
 import {make, withUnit, word} from './words.js';
 
-const PARTS = [['v_damping', '--blue'], ['v_feed_forward', '--green'],
-               ['v_regressor', '--yellow'], ['v_robust', '--red'], ['v_extra', '--purple']];
+const PART_TINTS = ['--blue', '--green', '--yellow', '--red', '--purple', '--sky'];
 const TINTS = ['--blue', '--red', '--green', '--yellow', '--purple', '--sky'];
 const DASHED = [6, 4];
 const OTHER = {'--blue': '--purple', '--red': '--grey', '--green': '--sky', '--yellow': '--grey'};
@@ -16,7 +15,9 @@ const OTHER = {'--blue': '--purple', '--red': '--grey', '--green': '--sky', '--y
 export function catalogue(hello) {
   const there = new Set(hello.columns.map((column) => column.name));
   const line = (name, tint, more = {}) => ({name, tint, ...more});
-  const estimates = hello.signals.filter((name) => /^(theta\d+|phi)$/.test(name));
+  const named = (role) => hello.columns.filter((column) => column.role === role)
+    .map((column) => column.name);
+  const estimates = named('estimate');
   return [
     {id: 'tracking', title: 'Output and reference', unit: 'x0',
      lines: [line('xd0', '--red', {dash: DASHED}), line('x0', '--blue', {wide: true})]},
@@ -34,7 +35,8 @@ export function catalogue(hello) {
      rulesLabel: '±1'},
     {id: 'parts', title: 'Parts of the command, stacked', unit: 'v',
      lines: [line('v', '--ink', {wide: true})],
-     stack: PARTS.filter(([name]) => there.has(name)).map(([name, tint]) => ({name, tint}))},
+     stack: named('term of v').map(
+       (name, at) => ({name, tint: PART_TINTS[at % PART_TINTS.length]}))},
     {id: 'estimates', title: 'Estimates and their bounds', unit: null,
      lines: estimates.map((name, at) => line(name, TINTS[at % TINTS.length], {wide: true})),
      bounds: estimates},
@@ -45,12 +47,13 @@ export function catalogue(hello) {
 
 export class Plots {
   constructor(place, hello, view, events, changed) {
-    this.changed = changed;     // hears that a plot has to be drawn again
+    this.changed = changed;     // called when a plot has to be drawn again
     this.hello = hello;
     this.view = view;
     this.events = events;       // () → [{stamp, tint}]
     this.period = 1 / (hello.rate || 200);
     this.units = Object.fromEntries(hello.columns.map((column) => [column.name, column.unit]));
+    this.labels = Object.fromEntries(hello.columns.map((column) => [column.name, column.label]));
     this.names = new Set();
     this.sync = uPlot.sync('dz_ros');
     this.runs = hello.runs || [''];
@@ -104,7 +107,8 @@ export class Plots {
     const swatch = make('i', {class: `swatch${run ? ' dotted' : ''}${
       dash === 'fill' ? ' fill' : dash ? ' dashed' : ''}`});
     swatch.style.color = `var(${tint})`;
-    const label = run ? `${word(name)} (${runName})` : word(name);
+    const title = word(this.labels[name] || name);
+    const label = run ? `${title} (${runName})` : title;
     shown.legend.append(make('li', {}, swatch, make('span', {}, label), ' ', value));
     shown.values.push({name, run, value});
   }
@@ -243,7 +247,7 @@ export class Plots {
   }
 
   // Write the values at an instant beside the names.
-  say(stores, time) {
+  showValues(stores, time) {
     const places = stores.map((store) => {
       const held = time === null ? store : store.over(time, time);
       return [held, time === null ? held.count - 1 : held.nearest(time)];

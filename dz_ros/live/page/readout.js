@@ -1,9 +1,9 @@
-// The numbers that are read from two metres, and the word on how the loop is.
+// The numbers that are read from two metres, and the loop's condition.
 
 import {make, number, seconds, withUnit} from './words.js';
 
 const OLD = 1;          // s by which what is seen may be behind the server
-const WORDS = 0.2;      // s between two words of the server on the loop
+const STATUS_PERIOD = 0.2;      // s between two status messages of the server
 const FRESH = 0.5;      // s without a state that still count as live, at fast rates
 const BAD = ['fault', 'estop', 'lost'];
 
@@ -23,7 +23,7 @@ export class Tiles {
     this.commandUnit = units?.v || '';
   }
 
-  say(store, time, from, to, fresh) {
+  show(store, time, from, to, fresh) {
     const place = time === null ? store.count - 1 : store.nearest(time);
     const value = (name) => (fresh ? store.value(name, place) : NaN);
     let peak = NaN;
@@ -42,7 +42,7 @@ export class Tiles {
     this.mark('layer', Math.abs(value('s_over_epsilon')) > 1 ? 'warn' : 'good');
   }
 
-  say2(name, text, mood = '') {
+  set(name, text, mood = '') {
     this.tiles[name].textContent = text;
     this.mark(name, mood);
   }
@@ -50,38 +50,45 @@ export class Tiles {
   mark(name, mood) { this.tiles[name].parentElement.dataset.mood = mood; }
 }
 
-// How the loop is, in a word and a reason, and whether anybody could do what is asked of it. What is
-// not heard, or heard late, is never called live.
+// The loop's condition as [state, word, reason, whether an action can reach it]. Data that is old or
+// missing is never called live; a planned end is an end, not an error.
 export function condition({link, hello, status, rowsAt, stores, view, finished}) {
   const now = performance.now();
+  const ended = finished && hello?.mode === 'live'
+    ? (why, usable = false) => ['ended', 'LOOP ENDED', why, usable] : null;
   if (!hello || !link.open) {
-    return ['off', 'NOT CONNECTED', link.reason || 'trying again every second', false];
+    return ended?.('the server has ended') || ['off', 'NOT CONNECTED',
+                                               link.reason || 'trying again every second', false];
   }
   if (hello.mode === 'run') {
     return ['recorded', 'RECORDED', hello.runs.length > 1 ? 'two runs' : '', false];
   }
   if (link.silent) {
-    return ['gone', 'NO WORD FROM THE SERVER', `for ${((now - link.heard) / 1e3).toFixed(1)} s`,
-            false];
+    return ended?.('the server is silent') || [
+      'gone', 'NO MESSAGE FROM THE SERVER', `for ${((now - link.received) / 1e3).toFixed(1)} s`,
+      false];
   }
   if (!status || status.age === null) {
     return ['waiting', 'WAITING FOR A LOOP', hello.namespace, true];
   }
-  const told = link.time - status.time;     // how long ago what is said of the loop was sent
+  const statusAge = link.time - status.time;     // age of the newest status
   const there = status.nodes.some((node) => !node.gone);
-  if (told > OLD) return ['gone', 'OLD DATA', `what is heard is ${told.toFixed(1)} s old`, false];
-  // Until the next word is due the loop ages; a page or a network that stalls is not its silence.
-  const age = status.age + Math.min(told, WORDS);
+  if (statusAge > OLD) {
+    const why = `the status is ${statusAge.toFixed(1)} s old`;
+    return ended?.(why) || ['gone', 'OLD DATA', why, false];
+  }
+  // Until the next status is due the loop ages; a page or a network that stalls is not its silence.
+  const age = status.age + Math.min(statusAge, STATUS_PERIOD);
   if (age > Math.max(FRESH, 5 / (hello.rate || 200))) {
-    return ['gone', finished ? 'LOOP ENDED' : 'LOOP GONE', `last data ${(status.age + told).toFixed(1)} s ago`,
-            there];
+    const ago = `last data ${(status.age + statusAge).toFixed(1)} s ago`;
+    return ended?.(ago, there) || ['gone', 'LOOP GONE', ago, there];
   }
   const shown = link.time - rowsAt;
   const behind = hello.timing === 'lockstep' || !stores[0]?.count ? 0
     : age + status.stamp - stores[0].last;
   const old = Math.max(shown, behind);
   if (!(old <= Math.max(OLD, 5 / (hello.rate || 200)))) {
-    return ['gone', 'OLD DATA', Number.isFinite(old) ? `the plots are ${old.toFixed(1)} s behind`
+    return ended?.('') || ['gone', 'OLD DATA', Number.isFinite(old) ? `the plots are ${old.toFixed(1)} s behind`
       : 'no rows have come', false];
   }
   const bad = status.nodes.find((node) => BAD.includes(node.mode) && !node.gone);

@@ -46,7 +46,7 @@ export class Scrub {
     if (end >= last) this.play(false);
   }
 
-  // Hear that another window is looked at.
+  // Follow another window of the view.
   moved() {
     const [first, last] = this.view.limits;
     const share = (this.view.end - first) / (last - first || 1);

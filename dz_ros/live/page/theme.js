@@ -1,4 +1,4 @@
-// Light and dark: what the system says, until the user says otherwise. Colours as the style has them.
+// Light and dark: the system's choice until the user chooses; colours from the style sheet.
 
 export function start(changed) {
   const root = document.documentElement;

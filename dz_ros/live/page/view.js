@@ -12,7 +12,7 @@ export class View {
     this.limits = [0, 0];
   }
 
-  // Hear how far the data reaches.
+  // Set the limits of the data.
   reach(first, last) {
     this.limits = [first, last];
     if (this.follow && Number.isFinite(last)) this.end = last;

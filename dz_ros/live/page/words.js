@@ -1,18 +1,10 @@
 // Names of columns as they are read, and numbers as they are written.
 
-const PLAIN = {
-  x0: 'x', xd0: 'x_d', error: 'x̃', omega: 'Ω_ε', v: 'v', w: 'w', s: 's', s_eps: 's_ε',
-  s_over_epsilon: 's/ε', u_fd: 'u_fd', phi: 'φ̂', v_damping: 'damping',
-  v_feed_forward: 'feed-forward', v_regressor: 'regressor', v_robust: 'robust',
-  v_extra: 'extra', round_trip: 'round trip', interval: 'period', disturbance: 'disturbance',
-};
 const LOW = '₀₁₂₃₄₅₆₇₈₉';
 
-export function word(name) {
-  if (PLAIN[name]) return PLAIN[name];
-  const theta = /^theta(\d+)$/.exec(name);
-  if (theta) return 'θ̂' + [...theta[1]].map((digit) => LOW[digit]).join('');
-  return name.replaceAll('_', ' ');
+// A declared label with its subscripts lowered: θ̂_1 → θ̂₁.
+export function word(label) {
+  return label.replace(/_(\d+)/g, (_, digits) => [...digits].map((digit) => LOW[digit]).join(''));
 }
 
 export function number(value, digits = 4) {

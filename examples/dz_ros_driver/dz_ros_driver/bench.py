@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Where your hardware would be: a thruster with a dead-zone on a vehicle, moving as time does.
 
 (13.5 + 6.36) u' + 13.7 u + 141 |u| u = D(v), thrust D(v) = v ∓ 7 N beyond ±7 N, else 0.

@@ -1,6 +1,6 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bench as a node that knows docs/topics.md of dz_ros and nothing else of it."""
 
-import contextlib
 import json
 import math
 import time
@@ -8,7 +8,7 @@ import time
 import rclpy
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from rclpy.qos import qos_profile_sensor_data as newest
 from std_msgs.msg import Bool, Float64MultiArray, MultiArrayDimension, String
 from std_srvs.srv import Trigger
@@ -18,6 +18,7 @@ from dz_ros_driver.bench import Bench
 T, HOLD, SAFE = 0.005, 0.015, 0.0   # period [s], age of a stale command [s], safe command [N]
 STATE = 'seq,stamp,x0,echo_seq,echo_stamp,round_trip'
 COMMAND = 'seq,stamp,v,echo_seq,echo_stamp,hold'
+EVERY = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 KEPT = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -26,12 +27,13 @@ class DriverNode(Node):
 
     def __init__(self):
         super().__init__('driver_node')
-        self.bench, self.mode, self.pressed, self.echo = Bench(), 'waiting', False, (-1.0, 0.0)
+        self.bench, self.mode, self.echo = Bench(), 'waiting', (-1.0, 0.0)
         self.k = self.seq = self.start = self.fed = self.sent_at = self.trip = 0.0
         self.states = self.create_publisher(Float64MultiArray, 'state', 1000)
         self.events = self.create_publisher(String, 'events', KEPT)
         self.create_subscription(Float64MultiArray, 'command', self.on_command, newest)
-        self.create_subscription(Bool, 'estop', self.on_estop, KEPT)
+        for qos in (newest, EVERY, KEPT):   # BEST_EFFORT publishers, bursts, earlier latched ones
+            self.create_subscription(Bool, 'estop', self.on_estop, qos)
         self.create_service(Trigger, '~/reset', self.on_reset)
         self.create_timer(T, self.sample)
 
@@ -71,15 +73,14 @@ class DriverNode(Node):
             {'node': self.get_fully_qualified_name(), 'event': 'mode', 'mode': mode})))
 
     def on_estop(self, message):
-        """Stop while the button is pressed, and until the reset."""
-        self.pressed = message.data
-        if message.data:
+        """Stop until the reset; a `false` releases nothing: another publisher may still press."""
+        if message.data and self.mode != 'estop':
             self.change('estop')
 
     def on_reset(self, _request, response):
         """Leave the stop."""
-        response.success, response.message = not self.pressed, 'pressed' if self.pressed else ''
-        self.change('estop' if self.pressed else 'waiting')
+        response.success = True
+        self.change('waiting')
         return response
 
 
@@ -87,8 +88,13 @@ def main():
     """Run until told to end, by SIGINT or SIGTERM; leave the device with the safe command."""
     rclpy.init()
     node = DriverNode()
-    with contextlib.suppress(KeyboardInterrupt, ExternalShutdownException):
+    try:
         rclpy.spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except Exception:
+        if rclpy.ok():      # else the signal came in the middle of a callback
+            raise
     node.bench.write(SAFE)
 
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The bench as a driver class: what dz_ros' host needs to run it, and nothing else."""
 
 from __future__ import annotations
@@ -5,9 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from dz_ros.core.driver import Driver
 from dz_ros.core.schema import parameter
-from dz_ros.drivers.feeding import Feeder, Order
+from dz_ros.drivers.contract import Driver
+from dz_ros.drivers.feeder import Feeder, Order
 from dz_ros_driver.bench import Bench
 
 
@@ -62,15 +63,15 @@ class Thruster(Driver):
         """Return the newest speed."""
         return self._feeder.newest()
 
-    def trouble(self) -> str:
+    def fault(self) -> str:
         """Return what the thread ran into."""
-        return self._feeder.trouble()
+        return self._feeder.fault()
 
     def recover(self) -> None:
         """Try again."""
         self._feeder.forgive()
 
-    def in_force(self) -> float | None:
+    def applied_command(self) -> float | None:
         """Return the thrust commanded last [N]."""
         return None if self._bench is None else self._bench.v
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """From one value to another along x_d = start + (goal − start) f(z), f = 1/(1 + e^−z)."""
 
 from __future__ import annotations

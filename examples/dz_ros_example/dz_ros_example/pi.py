@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """PI control of the filtered error: v = −k_p s − k_i ∫ s dt, with s = Λᵀ x̃."""
 
 from __future__ import annotations
@@ -7,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from dz_ros.core.laws.base import Law
-from dz_ros.core.records import STATUS
 from dz_ros.core.schema import parameter
+from dz_ros.core.signals import S, Signal, STATUS, V_DAMPING, V_EXTRA
 from dz_ros.core.tracking import error_weights
 
 
@@ -37,17 +38,13 @@ class Pi(Law):
         return (g.k_p, g.k_i, *error_weights(g.lambda_, self.order))
 
     @property
-    def signal_names(self) -> tuple[str, ...]:
-        """The integral."""
-        return ('integral',)
+    def signals(self) -> tuple[Signal, ...]:
+        """The integral, in the unit of s times s."""
+        return (Signal('integral', 'x^(n-1) s', 'integral of the filtered error', symbol='∫s'),)
 
     def initial_memory(self) -> tuple[float, ...]:
         """Nothing integrated yet."""
         return (0.0,)
-
-    def memory_from_signals(self, signals: Sequence[float]) -> tuple[float, ...]:
-        """The integral is the whole memory."""
-        return tuple(signals)
 
     @staticmethod
     def kernel(c: Sequence[float], memory: Sequence[float], x_d: Sequence[float],
@@ -58,11 +55,10 @@ class Pi(Law):
         for i in range(len(x)):
             s += c[2 + i] * (x[i] - x_d[i])
         new_memory[0] = memory[0] + dt * s
-        for i in range(STATUS + 1):  # what this law has not: u_fd, regressor part, …
-            terms[i] = 0.0
-        terms[0] = s
-        terms[3] = -c[0] * s  # v_damping
-        terms[7] = -c[1] * memory[0]  # v_extra
+        terms[S] = s
+        terms[V_DAMPING] = -c[0] * s
+        terms[V_EXTRA] = -c[1] * memory[0]
+        terms[STATUS] = 0.0
         terms[STATUS + 1] = memory[0]
-        v: float = terms[3] + terms[7]
+        v: float = terms[V_DAMPING] + terms[V_EXTRA]
         return v

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Level h of a tank with an outlet: A h' = w − c √h, w the flow of a valve with a dead-zone."""
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ class Tank(Plant):
     regressor_count = 1
     state_units = ('m',)
     actuator_unit = 'l/s'
+    regressor_units = ('√m',)
     default_x0 = (0.2,)
     Parameters = TankParameters
 

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """A simulated drive in this process, on python-can's virtual bus; no network."""
 
 from __future__ import annotations
@@ -10,9 +11,9 @@ import pytest
 
 from dz_ros.core import schema
 from dz_ros.drivers.cia402.emulator import Cia402Emulator, EmulatedParameters, FAULTS
-from dz_ros.files import load_configuration
+from dz_ros.files.configurations import load_configuration
 
-TIME_OUT = 30.0
+TIME_OUT = 60.0
 _channels = itertools.count()
 
 
@@ -34,7 +35,8 @@ class Drive:
                     if key.startswith('emulated__')}
         self.configuration = load_configuration('cia402').replace(**{
             'driver.interface': 'virtual', 'driver.channel': f'test-{next(_channels)}',
-            'driver.bus_options': [], 'driver.heartbeat_hold': 1.0, 'driver.command_hold': 1.0,
+            'driver.bus_options': [], 'driver.answer_limit': 2.0, 'driver.heartbeat_hold': 1.0,
+            'driver.command_hold': 1.0,
             **{key.replace('__', '.'): value for key, value in overrides.items()
                if not key.startswith('emulated__')}})
         self.emulator = Cia402Emulator(schema.build(EmulatedParameters, emulated),
@@ -43,7 +45,7 @@ class Drive:
         self._end = threading.Event()
         self._drivers = []
         self.place = self.emulator.open()
-        self.node = self.emulator._node
+        self.node = self.emulator.node
         self._thread = threading.Thread(target=self.emulator.run,
                                         args=(self._end.is_set, self.said.append))
         self._thread.start()
@@ -64,7 +66,7 @@ class Drive:
 
     def fault(self, name, value=0, duration=1.0):
         """Have something go wrong, as a master that writes 2000h does."""
-        self.emulator._ask(list(FAULTS).index(name) + 1, value, duration)
+        self.emulator.ask(list(FAULTS).index(name) + 1, value, duration)
 
     def close(self):
         for driver in self._drivers:

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The driver against the simulated drive: life, commands, measurements, what it refuses."""
 
 import builtins
@@ -10,9 +11,9 @@ import pytest
 from dz_ros.core.safety.health import Report
 from dz_ros.drivers.cia402 import objects
 from dz_ros.drivers.cia402.states import DriveState
-from dz_ros.drivers.conformance import check_contract
+from dz_ros.drivers.conformance.driver_checks import check_contract
 from dz_ros.errors import ConfigurationError, DriverError, MissingDependencyError
-from dz_ros.files import load_configuration
+from dz_ros.files.configurations import load_configuration
 
 S = DriveState
 
@@ -24,29 +25,29 @@ def test_from_nothing_to_a_moving_axis_and_back(drive, until):
     assert d.node.device.state is S.DISABLED
     driver.enable()
     assert d.node.device.state is S.ENABLED
-    assert d.node._motor.target == 0            # enabled, but not driven
+    assert d.node.motor.target == 0            # enabled, but not driven
     driver.command(3.0, 0.0)
-    until(lambda: d.node._motor.target == 600)  # 3 A × 1 N m/A of 5 N m
+    until(lambda: d.node.motor.target == 600)  # 3 A × 1 N m/A of 5 N m
     until(lambda: driver.command(3.0, 0.0) or (driver.measure() or (0.0, 0.0))[1] > 0.1)
-    assert driver.in_force() == pytest.approx(3.0)
+    assert driver.applied_command() == pytest.approx(3.0)
     driver.safe(0.0, 0.0)
     until(lambda: d.node.device.state is S.QUICK_STOP and d.node.device.standing)
-    assert driver.in_force() == 0.0
+    assert driver.applied_command() == 0.0
     driver.command(-3.0, 0.0)
-    until(lambda: d.node.device.state is S.ENABLED and d.node._motor.target == -600)
+    until(lambda: d.node.device.state is S.ENABLED and d.node.motor.target == -600)
     driver.safe(0.0, 0.0)
     driver.disable()
     assert d.node.device.state is S.DISABLED
     driver.close()
-    until(lambda: d.node._node.nmt.state == 'PRE-OPERATIONAL')
-    assert driver.trouble() == 'not connected'
+    until(lambda: d.node.canopen.nmt.state == 'PRE-OPERATIONAL')
+    assert driver.fault() == 'not connected'
     assert driver.measure() is None
 
 
 def test_what_the_drive_was_told(drive):
     d = drive(driver__quick_stop=5, driver__max_torque=2.0)
     d.driver().open()
-    sdo = d.node._node.sdo
+    sdo = d.node.canopen.sdo
 
     def value(index, sub=0):
         found = sdo[index]
@@ -60,7 +61,10 @@ def test_what_the_drive_was_told(drive):
     assert (value(0x60C2, 1), value(0x60C2, 2)) == (50, -4)     # 5 ms
     assert value(0x1400, 5) == 1000
     assert [value(0x1600, sub) for sub in range(3)] == [2, 0x60400010, 0x60710010]
-    assert value(0x1801, 1) == 0x281
+    assert value(0x1801, 1) == objects.NO_RTR | 0x281       # the drive's bit is kept
+    assert value(0x1400, 1) == 0x201
+    assert [value(0x1A00, sub) for sub in range(4)] == [3, 0x60410010, 0x60640020, 0x60610008]
+    assert (value(0x6007), value(0x605E), value(0x1029, 1)) == (1, 2, 1)
     assert value(0x1802, 1) & objects.NOT_VALID
 
 
@@ -68,10 +72,10 @@ def test_velocity_mode_and_commands_at_sync(drive, until):
     d = drive(driver__mode='velocity', driver__act_at='sync', driver__speed_per_command=0.1,
               driver__velocity_counts=3600.0)
     driver = d.enabled()
-    assert d.node._node.sdo[0x6060].raw == 9
-    assert d.node._node.sdo[0x1400][2].raw == 1
+    assert d.node.canopen.sdo[0x6060].raw == 9
+    assert d.node.canopen.sdo[0x1400][2].raw == 1
     driver.command(2.0, 0.0)                    # 0.2 rad/s of 3600/(2π) per rad/s
-    until(lambda: d.node._motor.target == 115)
+    until(lambda: d.node.motor.target == 115)
     until(lambda: driver.command(2.0, 0.0) or (driver.measure() or (0.0, 0.0))[1] > 0.1)
 
 
@@ -80,26 +84,32 @@ def test_position_alone(drive, until):
     driver = d.enabled()
     assert driver.measured == 1
     until(lambda: driver.measure() == pytest.approx((0.1,), abs=0.05))
-    assert d.node._node.sdo[0x1801][1].raw & objects.NOT_VALID
+    assert d.node.canopen.sdo[0x1801][1].raw & objects.NOT_VALID
 
 
 @pytest.mark.parametrize('extrapolate', [True, False])
-def test_the_position_is_that_of_the_sample(drive, monkeypatch, extrapolate):
-    driver = drive().driver(driver__extrapolate=extrapolate)
+def test_the_position_is_that_of_the_sample(drive, until, monkeypatch, extrapolate):
+    d = drive()
+    driver = d.driver(driver__extrapolate=extrapolate)
     driver.open()
-    driver._bus.close()                         # nothing comes any more but what follows
-    driver._bus.synced_at = 100.0
-    driver._bus._on_first(0x181, bytearray(bytes.fromhex('371200000100')), 0.0)     # 1 turn
-    driver._bus._on_second(0x281, bytearray(bytes.fromhex('000002000000')), 0.0)    # 2 turns/s
-    driver._bus.measurement = replace(driver._bus.measurement, at=100.0005)
+    until(driver.measure)
+    driver.cycle.stop()
+    until(lambda: driver.bus.measurement.synced_at == driver.bus.synced_at)
+    d.node.off = True                           # nothing comes any more but what follows
+    driver.bus.position.forget()
+    monkeypatch.setattr('dz_ros.drivers.cia402.driver.time.monotonic', lambda: 100.0)
+    driver.bus.sync()
+    hear = driver.bus.network.notify
+    hear(0x281, bytearray(bytes.fromhex('000002000000')), 0.0)      # 2 turns/s
+    hear(0x181, bytearray(bytes.fromhex('3712000001000a')), 0.0)    # 1 turn
     x = 2.0 * math.pi
     more = 4.0 * math.pi * 0.0015 if extrapolate else 0.0
     monkeypatch.setattr('dz_ros.drivers.cia402.driver.time.monotonic', lambda: 100.003)
-    driver._sample_at = 100.0015
+    driver.sample_at = 100.0015
     assert driver.measure() == pytest.approx((x + more, 4.0 * math.pi))
-    driver._sample_at = 90.0                    # an old one: now is meant
+    driver.sample_at = 90.0                    # an old one: now is meant
     assert driver.measure() == pytest.approx((x + 2.0 * more, 4.0 * math.pi))
-    driver._bus.measurement = replace(driver._bus.measurement, speed=math.nan)
+    driver.bus.measurement = replace(driver.bus.measurement, speed=math.nan)
     assert driver.measure()[0] == pytest.approx(x)
     monkeypatch.setattr('dz_ros.drivers.cia402.driver.time.monotonic', lambda: 100.02)
     assert driver.measure() is None
@@ -109,7 +119,7 @@ def test_a_command_that_is_not_finite_stops(drive, until):
     d = drive()
     driver = d.enabled()
     driver.command(1.0, 0.0)
-    until(lambda: d.node._motor.target == 200)
+    until(lambda: d.node.motor.target == 200)
     driver.command(math.nan, 0.0)
     until(lambda: d.node.device.state is S.QUICK_STOP)
 
@@ -119,7 +129,7 @@ def test_a_command_beyond_the_limit_is_held_and_the_limit_is_known(drive, until)
     driver = d.enabled()
     assert driver.limit == pytest.approx(15.0)
     driver.command(-99.0, 0.0)
-    until(lambda: d.node._motor.target == -3000)
+    until(lambda: d.node.motor.target == -3000)
 
 
 def test_a_loop_that_falls_silent_is_stopped_and_may_go_on(drive, until):
@@ -128,7 +138,7 @@ def test_a_loop_that_falls_silent_is_stopped_and_may_go_on(drive, until):
     assert d.node.device.state is S.ENABLED     # enabled, no command yet: nothing to watch
     driver.command(2.0, 0.0)
     until(lambda: d.node.device.state is S.QUICK_STOP)
-    assert driver.trouble() == ''
+    assert driver.fault() == ''
     driver.command(2.0, 0.0)
     until(lambda: d.node.device.state is S.ENABLED)
     report = Report()
@@ -141,21 +151,21 @@ def test_a_loop_that_falls_silent_is_stopped_and_may_go_on(drive, until):
 def test_the_conformance_kit_finds_nothing(drive, mode):
     d = drive(driver__mode=mode, safety__state_hold=200)
     results = {item.name: item for item in check_contract(d.configuration, 1.0, True)}
-    for name in ('declaration', 'opens', 'no trouble', 'safe command', 'limit', 'stop and reset',
+    for name in ('declaration', 'opens', 'no fault', 'safe command', 'limit', 'stop and reset',
                  'restart', 'reconnect'):       # the others are about time
         assert results[name].passed, results[name]
 
 
-def test_stops_and_commands_in_quick_turns_are_no_trouble(drive, until):
+def test_stops_and_commands_in_quick_turns_are_no_fault(drive, until):
     d = drive()
     driver = d.enabled()
     for _ in range(200):
         driver.command(1.0, 0.0)
         driver.safe(0.0, 0.0)
-        assert driver.trouble() == ''
+        assert driver.fault() == ''
     driver.command(1.0, 0.0)
-    until(lambda: driver.command(1.0, 0.0) or d.node._motor.target == 200)
-    assert driver.trouble() == ''
+    until(lambda: driver.command(1.0, 0.0) or d.node.motor.target == 200)
+    assert driver.fault() == ''
 
 
 def test_a_drive_in_fault_from_before_is_enabled(drive):
@@ -163,7 +173,7 @@ def test_a_drive_in_fault_from_before_is_enabled(drive):
     d.node.fault(0x7500)
     driver = d.enabled()
     assert d.node.device.state is S.ENABLED
-    assert driver.trouble() == ''
+    assert driver.fault() == ''
 
 
 def test_nobody_there(drive):
@@ -176,16 +186,17 @@ def test_nobody_there(drive):
 
 def test_another_motor(drive):
     d = drive(emulated__rated_torque=2.0)
-    with pytest.raises(DriverError, match=r'rated_torque = 5 N m: the drive says 2 N m \(6076h\)'):
+    with pytest.raises(DriverError,
+                       match=r'rated_torque = 5 N m: the drive reports 2 N m \(6076h\)'):
         d.driver().open()
 
 
 def test_another_device_and_a_drive_without_the_mode(drive):
     d = drive()
-    d.node._node.object_dictionary[0x6502].default = 1
+    d.node.canopen.object_dictionary[0x6502].default = 1
     with pytest.raises(DriverError, match=r'cannot do cyclic synchronous torque: .* = 0x1'):
         d.driver().open()
-    d.node._node.object_dictionary[0x1000].default = 401
+    d.node.canopen.object_dictionary[0x1000].default = 401
     with pytest.raises(DriverError, match='is no servo drive: its device profile is 401'):
         d.driver().open()
 
@@ -193,12 +204,13 @@ def test_another_device_and_a_drive_without_the_mode(drive):
 def test_objects_that_a_drive_may_lack_are_reported(drive):
     d = drive()
     for index in (0x60C2, 0x6502, 0x605A, 0x6072):
-        del d.node._node.object_dictionary[index]
+        del d.node.canopen.object_dictionary[index]
     driver = d.enabled()
     report = Report()
     driver.report(report)
     assert 'quick stop option code (605Ah)' in report.values['objects the drive lacks']
-    del d.node._node.object_dictionary[0x6060]
+    driver.close()
+    del d.node.canopen.object_dictionary[0x6060]
     with pytest.raises(DriverError, match=r'modes of operation \(6060h\): Code 0x06020000'):
         d.driver().open()
 
@@ -264,7 +276,7 @@ def test_calls_from_many_threads_at_once(drive, until):
                 if measured is not None:
                     seen.add(len(measured))
                 driver.report(Report())
-                assert driver.trouble() == ''
+                assert driver.fault() == ''
         except Exception as error:  # noqa: BLE001  any is a failure
             failures.append(error)
 
@@ -276,4 +288,4 @@ def test_calls_from_many_threads_at_once(drive, until):
     assert failures == []
     assert seen <= {2}
     driver.command(0.5, 0.0)
-    until(lambda: d.node._motor.target == 100)
+    until(lambda: d.node.motor.target == 100)

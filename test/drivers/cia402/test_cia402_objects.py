@@ -1,10 +1,11 @@
+# SPDX-License-Identifier: Apache-2.0
 """PDO layout: what is written where, and the bytes on the bus."""
 
 import struct
 
 import pytest
 
-from dz_ros.drivers.cia402.objects import dictionary, EMULATED, layout, STANDARD
+from dz_ros.drivers.cia402.objects import dictionary, EMULATED, layout, NO_RTR, STANDARD
 
 
 def test_torque_command_as_bytes():
@@ -22,7 +23,7 @@ def test_velocity_command_as_bytes():
 def test_answers_as_bytes():
     _, first, second = layout('torque', False, True)
     assert (first.cob_id(127), second.cob_id(127)) == (0x1FF, 0x2FF)
-    assert struct.unpack(first.form, bytes.fromhex('3712feffffff')) == (0x1237, -2)
+    assert struct.unpack(first.form, bytes.fromhex('3712feffffff0a')) == (0x1237, -2, 10)
     assert struct.unpack(second.form, bytes.fromhex('00000080e8ff')) == (-2 ** 31, -24)
 
 
@@ -37,7 +38,9 @@ def test_a_pdo_is_switched_off_while_it_is_mapped():
         (0x1600, 1, 0x60400010), (0x1600, 2, 0x60710010), (0x1600, 0, 2), (0x1400, 1, 0x201)]
     _, first, second = layout('velocity', False, True)
     assert [value for index, _, value in first.records(1) if index == 0x1A00] == [
-        0, 0x60410010, 0x60640020, 2]
+        0, 0x60410010, 0x60640020, 0x60610008, 3]
+    assert [value for index, sub, value in command.records(1, kept=NO_RTR)
+            if (index, sub) == (0x1400, 1)] == [0xC0000201, 0x40000201]
     assert second.records(3)[0] == (0x1801, 1, 0x80000283)
     assert [value for index, _, value in second.records(1) if index == 0x1A01] == [
         0, 0x606C0020, 0x60770010, 2]

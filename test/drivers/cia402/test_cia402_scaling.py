@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Scaling, wrap of the position, parameters and what they refuse."""
 
 from dataclasses import replace
@@ -8,7 +9,7 @@ from hypothesis import strategies as st
 import pytest
 
 from dz_ros.core import schema
-from dz_ros.drivers.cia402.scaling import Scaling, Unwrap, wrapped
+from dz_ros.drivers.cia402.scaling import Scaling
 from dz_ros.drivers.cia402.settings import Cia402Parameters
 from dz_ros.errors import ConfigurationError
 
@@ -64,20 +65,6 @@ def test_a_target_is_never_more_than_its_object_holds(s, v):
     assert abs(target) <= s.largest <= 32767
     if abs(v) <= s.limit:
         assert abs(target - v * s.command) <= 0.5 + 1e-6 * abs(target)
-
-
-@settings(deadline=None)
-@given(st.integers(-2 ** 31, 2 ** 31 - 1), st.lists(st.integers(-2 ** 30, 2 ** 30), max_size=50))
-def test_a_position_is_followed_across_the_wrap_of_its_32_bits(start, steps):
-    follow, true = Unwrap(), start
-    assert follow(start) == start
-    for step in steps:
-        true += step
-        sent = wrapped(true)
-        assert -2 ** 31 <= sent < 2 ** 31
-        assert follow(sent) == true
-    follow.forget()
-    assert follow(wrapped(true)) == wrapped(true)
 
 
 @pytest.mark.parametrize(('values', 'message'), [

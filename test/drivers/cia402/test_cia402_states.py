@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """State machine: statuswords, every transition of the profile, the way to a goal."""
 
 from hypothesis import given, settings
@@ -5,7 +6,19 @@ from hypothesis import strategies as st
 import pytest
 
 from dz_ros.drivers.cia402.device import Device
-from dz_ros.drivers.cia402.states import Controlword, DriveState, Goal, state_of, step_to, Walk
+from dz_ros.drivers.cia402.states import (
+    Controlword,
+    DriveState,
+    FOLLOWS,
+    Goal,
+    Promises,
+    REMOTE,
+    state_of,
+    step_to,
+    stopped,
+    VOLTAGE,
+    Walk,
+)
 
 S = DriveState
 
@@ -106,18 +119,18 @@ def test_what_a_quick_stop_ends_in(code, standing, after):
 
 
 def walk(made, goal, cycles=40, period=0.005, limit=1.0, patience=0.05):
-    """Walk a device to a goal as the thread does; return (states, troubles)."""
-    way, states, troubles = Walk(limit, 0.01, patience), [made.state], []
+    """Walk a device to a goal as the thread does; return (states, faults)."""
+    way, states, faults = Walk(limit, 0.01, patience), [made.state], []
     for cycle in range(cycles):
         way.want(goal, 0.0)
-        word, trouble = way.look(state_of(made.statusword), cycle * period, cycle * period)
-        if trouble:
-            troubles.append(trouble)
+        word, fault = way.look(state_of(made.statusword), cycle * period, cycle * period)
+        if fault:
+            faults.append(fault)
         made.control(word)
         made.settle()
         if made.state is not states[-1]:
             states.append(made.state)
-    return states, troubles
+    return states, faults
 
 
 @pytest.mark.parametrize(('state', 'states'), [
@@ -132,17 +145,17 @@ def test_the_way_to_operation_enabled(state, states):
 
 
 def test_a_drive_that_cannot_go_back_from_quick_stop_goes_round():
-    states, troubles = walk(device(S.QUICK_STOP, code=4), Goal.ENABLED)
+    states, faults = walk(device(S.QUICK_STOP, code=4), Goal.ENABLED)
     assert states == [S.QUICK_STOP, S.DISABLED, S.READY, S.SWITCHED_ON, S.ENABLED]
-    assert troubles == []
+    assert faults == []
 
 
 @pytest.mark.parametrize('state', [S.DISABLED, S.READY, S.SWITCHED_ON, S.ENABLED, S.QUICK_STOP])
 def test_safe_and_off_take_the_torque_away_in_one_step(state):
     for goal, allowed in ((Goal.SAFE, (S.DISABLED, S.QUICK_STOP)), (Goal.OFF, (S.DISABLED,))):
-        states, troubles = walk(device(state), goal, cycles=1)
+        states, faults = walk(device(state), goal, cycles=1)
         assert states[-1] in allowed
-        assert troubles == []
+        assert faults == []
 
 
 @settings(deadline=None)
@@ -164,7 +177,7 @@ def test_a_drive_that_drops_out_by_itself_is_not_switched_on_again():
 
 
 @pytest.mark.parametrize('stopped', [S.QUICK_STOP, S.DISABLED])
-def test_an_answer_to_the_goal_before_is_no_trouble(stopped):
+def test_an_answer_to_the_goal_before_is_no_fault(stopped):
     way = Walk(1.0, settle=0.1)
     way.want(Goal.ENABLED, 0.0)
     assert way.look(S.ENABLED, 1.0, 1.0)[1] == ''
@@ -178,10 +191,70 @@ def test_an_answer_to_the_goal_before_is_no_trouble(stopped):
     assert way.look(stopped, 1.3, 1.3)[1] != ''
 
 
-def test_a_drive_that_does_not_get_there_in_time_is_in_trouble():
+def test_a_drive_that_does_not_get_there_in_time_has_a_fault():
     way = Walk(1.0)
     way.want(Goal.ENABLED, 5.0)
     assert way.look(S.READY, 5.9, 5.9) == (Controlword.SWITCH_ON, '')
     assert way.look(S.READY, 6.1, 6.1)[1] == ('the drive does not reach operation enabled within '
                                               '1 s: ready to switch on')
     assert way.look(None, 0.0, 6.2)[1].endswith('unknown state')
+
+
+def test_a_slow_drive_that_drops_out_by_our_detour_has_not_left_by_itself():
+    way = Walk(5.0, settle=0.1, patience=0.2)
+    way.want(Goal.ENABLED, 0.0)
+    assert way.look(S.QUICK_STOP, 0.2, 0.25)[0] is Controlword.DISABLE_VOLTAGE
+    assert way.look(S.ENABLED, 0.26, 0.26)[1] == ''     # it took the step, and then the detour
+    assert way.look(S.DISABLED, 0.3, 0.3) == (Controlword.SHUTDOWN, '')
+    assert way.look(S.ENABLED, 0.5, 0.5)[1] == ''
+    assert 'by itself' in way.look(S.DISABLED, 0.6, 0.6)[1]
+
+
+def test_a_drive_that_does_not_stop_is_said_not_to_and_one_old_answer_is_not():
+    for goal, state in ((Goal.SAFE, S.ENABLED), (Goal.OFF, S.QUICK_STOP), (Goal.OFF, S.ENABLED)):
+        way = Walk(5.0, settle=0.1)
+        way.want(goal, 1.0)
+        for k in range(100):        # the same word, looked at again and again
+            assert way.look(state, 1.2, 1.2 + k)[1] == ''
+        said = [way.look(state, 1.3 + k, 1.3 + k)[1] for k in range(Walk.REFUSALS)]
+        assert said[-2] in ('', said[-1])
+        assert said[0] == ''
+        assert said[-1] == f'the drive does not take the command to stop: {state.value}'
+        assert stopped(goal, S.DISABLED)
+        assert way.look(S.DISABLED, 90.0, 90.0)[1] == ''
+    assert stopped(Goal.SAFE, S.QUICK_STOP)
+    assert not stopped(Goal.SAFE, None)
+
+
+@pytest.mark.parametrize(('bit', 'words'), [(VOLTAGE, 'power is off (statusword bit 4)'),
+                                            (REMOTE, 'in local mode (statusword bit 9)'),
+                                            (FOLLOWS, 'follow the target (statusword bit 12)')])
+def test_a_bit_that_a_drive_has_kept_and_drops_is_a_contradiction(bit, words):
+    whole, promises = 0x27 | VOLTAGE | REMOTE | FOLLOWS, Promises()
+    assert not any(promises.look(whole & ~bit) for _ in range(100))     # it never has it
+    assert promises.look(whole) == ''
+    assert promises.look(whole & ~bit) == ''            # once may be a moment
+    assert promises.look(0x21) == ''                    # not enabled: nothing is promised
+    said = [promises.look(whole & ~bit) for _ in range(30)]
+    assert said[0] == ''
+    assert said[-1].startswith('the drive reports operation enabled, but it')
+    assert words in said[-1]
+
+
+@pytest.mark.parametrize(('code', 'after', 'fault'), [
+    (0, S.ENABLED, False), (1, S.REACTING, True), (2, S.DISABLED, False),
+    (3, S.QUICK_STOP, False)])
+def test_what_a_lost_connection_ends_in(code, after, fault):
+    made = device(S.ENABLED)
+    made.abort_connection = code
+    assert made.lose_connection(0x8130) is fault
+    assert made.state is after
+    assert device(S.DISABLED).lose_connection(0x8130) is False
+
+
+def test_a_fault_reaction_that_coasts_does_not_wait():
+    made = device(S.ENABLED)
+    made.fault_reaction = 0
+    made.fault(0x2310)
+    made.settle()
+    assert made.state is S.FAULT

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Accuracy of `robust_eso` from positions alone, by resolution of the encoder and by observer.
+
+    python benchmarks/encoders.py            print the table
+    python benchmarks/encoders.py --write    write it into docs/encoders.md
+
+The example's plant, its x read as an angle in rad; gains by the rules for encoders
+(`dz_ros.core.laws.robust_eso_rules.gains_for_encoder`), the rate of `levant` the best of a list.
+Errors are max|x̃| over the last half of 60 s; TV is the total variation of v per second.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+import sys
+
+import numpy as np
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.laws.robust_eso_rules import gains_for_encoder, OBSERVER_RATE
+from dz_ros.core.loop.compiled import simulate_fast
+from dz_ros.files.configurations import load_configuration
+
+PAGE = Path(__file__).resolve().parent.parent / 'docs' / 'encoders.md'
+BEGIN, END = '<!-- table -->', '<!-- end of table -->'
+BITS = (17, 16, 14, 12)
+CASES = (('nominal', {}), ('b = 0.5', {'plant.b': 0.5}), ('delay 1', {'loop.delay': 1}),
+         ('b = 2, delay 1', {'plant.b': 2.0, 'loop.delay': 1}))
+RATES = (20.0, 40.0, 60.0, 80.0, 120.0, 160.0, 240.0)
+
+
+def reach(c: Configuration) -> tuple[float, float]:
+    """Return max|x̃| and total variation of v per second; inf where the loop is lost."""
+    run = simulate_fast(c)
+    half = len(run.t) // 2
+    error = float(np.abs(run.x[half:, 0] - run.x_d[half:, 0]).max())
+    variation = float(np.abs(np.diff(run.v[half:])).sum() / (run.t[-1] - run.t[half]))
+    return (error, variation) if error < 1.0 else (math.inf, math.inf)
+
+
+def main() -> int:
+    """Measure all resolutions and observers."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('--write', action='store_true', help=f'write the table into {PAGE.name}')
+    arguments = parser.parse_args()
+    titles = [name for name, _ in CASES]
+    lines = ['| encoder | K | observer | ω | ' + ' | '.join(titles) + ' | TV |',
+             f'|{"---|" * (5 + len(titles))}']
+    for bits in BITS:
+        quantum = 2.0 * math.pi / 2 ** bits
+        base = load_configuration('robust_eso', ['driver.measured=1', 'loop.duration=60'])
+        gains = gains_for_encoder(base.loop.period, quantum / math.sqrt(12.0), 1.25, 1.0, 4.0)
+        base = base.replace(**{'plant.resolution': quantum},
+                            **{f'controller.{key}': item for key, item in gains.items()})
+        for kind in ('tracking', 'luenberger', 'levant'):
+            omega = OBSERVER_RATE * gains['layer_gain']
+            c = base.replace(**{'driver.observer_kind': kind, 'driver.observer': omega})
+            if kind == 'levant':
+                c = min((c.replace(**{'driver.observer': rate}) for rate in RATES),
+                        key=lambda item: reach(item)[0])
+            found = [reach(c.replace(**changes)) for _, changes in CASES]
+            numbers = ' | '.join('lost' if math.isinf(item[0]) else f'{item[0]:.2e}'
+                                 for item in found)
+            lines.append(f'| {bits} bit | {gains["layer_gain"]:.0f} | `{kind}` '
+                         f'| {c.driver_settings.observer:.0f} | {numbers} | {found[0][1]:.0f} |')
+            print(lines[-1], flush=True)
+    if arguments.write:
+        text = PAGE.read_text(encoding='utf-8')
+        PAGE.write_text(f'{text.split(BEGIN)[0]}{BEGIN}\n' + '\n'.join(lines)
+                        + f'\n{END}{text.split(END)[1]}', encoding='utf-8')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,1 +1,0 @@
-"""Runs as arrays, turned into numbers, pictures and pages; knows no ROS and no file format."""

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Functions of the Python API."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+import os
+from pathlib import Path
+import tempfile
+from typing import Any
+
+import numpy as np
+
+from dz_ros.api.results import Comparison, Findings, Run
+from dz_ros.core.configuration import allow_named, Configuration, SECTIONS, SELECTORS
+from dz_ros.core.dataset import from_run
+from dz_ros.core.loop.compiled import simulate_fast
+from dz_ros.core.loop.offline import simulate as simulate_plain
+from dz_ros.errors import ConfigurationError
+from dz_ros.files.configurations import flat_parameters
+from dz_ros.report.compare import compare as compare_views
+from dz_ros.studies.code_folder import keep_compiled
+
+LONG = 100_000
+"""Samples above which compiling a loop takes less time than it saves."""
+
+Source = str | os.PathLike[str] | Mapping[str, Any] | Configuration | None
+
+
+def load(source: Source = None, overrides: Mapping[str, Any] | None = None,
+         **keys: Any) -> Configuration:
+    """Return a checked configuration.
+
+    Args:
+        source: Name of a shipped configuration, a file, a mapping of keys (nested or dotted), a
+            configuration; None = all defaults.
+        overrides: Dotted key → value, put over `source`. A plant, a law or a trajectory may be a
+            class of yours.
+        **keys: The same, as in ``load('servo', **{'controller.lambda': 4})``.
+
+    Raises:
+        ConfigurationError: No such file, unknown key, value not allowed.
+    """
+    if isinstance(source, Configuration) and source.axes:   # a key of all axes changes all
+        values = {key: _value(key, value) for key, value in {**(overrides or {}), **keys}.items()}
+        allow_named(values, True)
+        return source.replace(**values)
+    if isinstance(source, Configuration):
+        flat = source.to_flat()
+    elif isinstance(source, Mapping):
+        flat = _flat(source)
+    else:
+        flat = flat_parameters(None if source is None else Path(source))
+    return Configuration.from_flat({key: _value(key, value) for key, value in
+                                    {**flat, **(overrides or {}), **keys}.items()})
+
+
+def simulate(source: Source = None, overrides: Mapping[str, Any] | None = None,
+             compiled: bool | None = None, **keys: Any) -> Run:
+    """Run the closed loop offline.
+
+    Args:
+        source: As of `load`.
+        overrides: As of `load`.
+        compiled: Whether numba compiles the loop, which takes seconds the first time and is kept
+            for later processes; the numbers are the same. None = for runs of more than `LONG`
+            samples, where numba is installed.
+        **keys: As of `load`.
+
+    Raises:
+        ConfigurationError: As of `load`.
+        OverflowError, ValueError: The loop diverged beyond what its functions can evaluate.
+    """
+    configuration = load(source, overrides, **keys)
+    if compiled is None:
+        compiled = configuration.loop.samples > LONG
+    if compiled:
+        keep_compiled()
+    run = simulate_fast(configuration) if compiled else simulate_plain(configuration)
+    return Run(from_run(run))
+
+
+def read(path: str | os.PathLike[str], namespace: str | None = None,
+         axis: str | None = None) -> Run:
+    """Read a recording: of dz_ros or of rosbag2, whole or cut off.
+
+    Args:
+        path: Directory of a run, .mcap or .db3 file.
+        namespace: Whose topics to read where the recording holds several loops.
+        axis: Name of the axis of a run of several.
+
+    Raises:
+        RecordingError: Nothing there, not a run of dz_ros, or damaged; several axes, none named.
+    """
+    from dz_ros.recording.reader import read_run
+    from dz_ros.runs.axes import choose_axis
+
+    path = Path(path)
+    return Run(choose_axis(read_run(path, namespace), axis), path.name)
+
+
+def check(source: Source = None, overrides: Mapping[str, Any] | None = None,
+          **keys: Any) -> Findings:
+    """Return the findings of the design rules for a configuration; arguments as of `load`."""
+    from dz_ros.core.design.rules import check as check_rules
+    from dz_ros.core.design.stability import has_slope, lambda_limit
+
+    configuration = load(source, overrides, **keys)
+    limit = lambda_limit(configuration) if has_slope(configuration) else None
+    return Findings(check_rules(configuration, None, limit))
+
+
+def sweep(source: Source, over: Mapping[str, Sequence[Any]], *, samples: int = 0, seed: int = 0,
+          jobs: int = 0) -> list[dict[str, Any]]:
+    """Run a loop for values of some keys and return a row of numbers for each run.
+
+    Args:
+        source: As of `load`.
+        over: Dotted key → its values; every combination is run. With `samples` each value lists
+            the two ends of a range, sampled by a Sobol sequence.
+        samples: Number of runs of a Sobol sequence; 0 = every combination.
+        seed: Seed of the sequence.
+        jobs: Processes; 0 = one for each core.
+
+    Raises:
+        ConfigurationError: Unknown key, values that are not allowed, or a loop of several axes.
+    """
+    from dz_ros.studies.sweep import read_sweep, run_sweep
+    from dz_ros.studies.sweep_plan import Axis, SweepPlan
+
+    axes = []
+    for key, values in over.items():
+        listed = tuple(values.tolist() if isinstance(values, np.ndarray) else values)
+        if samples and len(listed) != 2:
+            raise ConfigurationError('over', key, 'must be the two ends of a range with samples')
+        axes.append(Axis(key, float(listed[0]), float(listed[1]), 2) if samples
+                    else Axis(key, values=listed))
+    configuration = load(source)
+    configuration.require_one()
+    plan = SweepPlan(configuration.to_flat(), tuple(axes), 'sobol' if samples else 'grid', samples,
+                     seed)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / 'sweep.csv'
+        run_sweep(plan, file, jobs)
+        return read_sweep(file)
+
+
+def compare(*runs: Run, names: Sequence[str] = ()) -> Comparison:
+    """Lay runs side by side.
+
+    Args:
+        *runs: Two or more.
+        names: Their names in table and figures; empty = file names, or 1, 2, ….
+
+    Raises:
+        ConfigurationError: Fewer than two runs, or not a name for each.
+    """
+    given = [*names] or [run.name or f'run {place}' for place, run in enumerate(runs, 1)]
+    if len(set(given)) != len(runs):
+        raise ConfigurationError('names', given, f'must be {len(runs)} different names')
+    return Comparison(compare_views({name: run.data for name, run in
+                                     zip(given, runs, strict=True)}))
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
+    """Return a mapping with dotted keys."""
+    found: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            found.update(_flat(value, f'{prefix}{key}.'))
+        else:
+            found[f'{prefix}{key}'] = value
+    return found
+
+
+def _value(key: str, value: Any) -> Any:
+    """Return a value as configurations take it: classes by name, arrays as lists."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    section, _, name = key.partition('.')
+    if isinstance(value, type) and SELECTORS.get(section) == name:
+        registry = SECTIONS[section][1]
+        assert registry is not None
+        return registry.add(value)
+    return value

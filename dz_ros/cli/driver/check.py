@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``dz driver check NAME|--topics``: verify a driver's contract; exit code 1 where it fails.
+
+NAME is checked in this process (``drivers/conformance/driver_checks.py``), then as a node: hosted
+by actuator_node, observed and commanded through topics, killed and started again. ``--topics``
+checks a running node of any language.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import asdict
+from importlib.util import find_spec
+import json
+import math
+from pathlib import Path
+import subprocess
+import sys
+from typing import Any
+
+from dz_ros.cli.driver.stop_requests import stop_on_estop
+from dz_ros.cli.operator import add_namespace
+from dz_ros.cli.output import print_json
+from dz_ros.cli.processes import check_rclpy, ParameterFiles, start_node, wait_or_kill
+from dz_ros.core.configuration import Configuration
+from dz_ros.drivers.conformance.driver_checks import check_contract
+from dz_ros.drivers.conformance.result import Result
+from dz_ros.drivers.hosted import HostedDriver
+from dz_ros.errors import ConfigurationError, DriverError
+from dz_ros.files.configurations import format_parameters, load_configuration
+from dz_ros.runtime.signals import Stopping
+
+FAILED = 1
+AMPLITUDE = 0.1
+"""Largest command sent unless the driver's limit is smaller [command unit]."""
+SHARE = 0.02
+"""Largest command sent, as a share of the driver's limit."""
+MARKS = {True: 'ok', False: 'FAILED', None: 'unseen'}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    parser.add_argument('name', nargs='?', metavar='NAME',
+                        help='driver, see dz driver list, or package.module:Class')
+    parser.add_argument('--topics', action='store_true',
+                        help='check the node that publishes state and takes command now')
+    parser.add_argument('--config', default='robust_eso', metavar='CONFIG',
+                        help='configuration: plant, rate, safety (default: %(default)s)')
+    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE',
+                        dest='overrides',
+                        help='change one key of it, e.g. driver.port=/dev/ttyUSB0')
+    parser.add_argument('--amplitude', type=float, metavar='V',
+                        help='largest command sent, but for --saturate (default: 2 %% of the '
+                             "driver's limit, at most 0.1)")
+    parser.add_argument('--saturate', action='store_true',
+                        help='send twice the limit too: the device moves with all it has')
+    parser.add_argument('--yes', action='store_true', help='do not ask before a device moves')
+    parser.add_argument('--json', action='store_true', help='one JSON object a line and check')
+    parser.add_argument('--axis', metavar='NAME',
+                        help='this axis alone, of a configuration of several')
+    add_namespace(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Check; print a line for each check; return 0, or 1 where one failed."""
+    if (arguments.name is None) != arguments.topics:
+        raise ConfigurationError('NAME', arguments.name, 'give either a driver or --topics')
+    chosen = [] if arguments.name is None else [f'driver.name={json.dumps(arguments.name)}']
+    configuration = load_configuration(
+        arguments.config, [*arguments.overrides, *chosen], arguments.namespace).replace(
+        **{'loop.timing': 'realtime', 'loop.duration': 0.0, 'loop.peers': ['plant_node']})
+    if arguments.axis is not None:
+        configuration = configuration.axis(arguments.axis)
+    if configuration.axes:
+        raise ConfigurationError('loop.axes', list(configuration.axis_names),
+                                 'one axis is checked; choose it with --axis')
+    limit = math.inf if arguments.topics else HostedDriver(configuration).limit
+    if configuration.safety.command_limit:
+        limit = min(limit, configuration.safety.command_limit)
+    amplitude = arguments.amplitude
+    if amplitude is None:
+        amplitude = min(AMPLITUDE, SHARE * limit)
+    if not (math.isfinite(amplitude) and 0.0 <= amplitude <= limit):
+        raise ConfigurationError('--amplitude', amplitude, f'must be from 0 to {limit:g}')
+    if arguments.topics:
+        check_rclpy()
+    _ask(arguments, configuration, amplitude)
+    failed = False
+    for result in _results(arguments, configuration, amplitude, limit):
+        failed |= result.passed is False
+        if arguments.json:
+            print_json(asdict(result), None, flush=True)
+        else:
+            print(line(result), flush=True)
+    return FAILED if failed else 0
+
+
+def line(result: Result) -> str:
+    """Return a result as a line: verdict, check, figure, limit, why."""
+    why = f'  ({result.words})' if result.words else ''
+    return (f'{MARKS[result.passed]:6}  {result.name:24} {result.figure}; must be: '
+            f'{result.limit}{why}')
+
+
+def _ask(arguments: argparse.Namespace, c: Configuration, amplitude: float) -> None:
+    """Ask before a real device moves."""
+    if arguments.yes or (not arguments.topics and c.driver_class.lockstep):
+        return
+    most = 'up to its limit' if arguments.saturate else f'up to {amplitude:g}'
+    if not sys.stdin.isatty():
+        raise ConfigurationError('--yes', False, f'the device will get commands {most}: give '
+                                 '--yes without a terminal')
+    answer = input(f'The device will get commands {most}, stops and restarts. Go on? [y/N] ')
+    if answer.strip().lower() not in ('y', 'yes'):
+        raise ConfigurationError('--yes', False, 'nothing was sent')
+
+
+def _results(arguments: argparse.Namespace, c: Configuration, amplitude: float,
+             limit: float) -> Iterator[Result]:
+    """Yield every result: in this process, then through topics."""
+    own: dict[str, Any] = {'amplitude': amplitude,
+                           'limit': limit if arguments.saturate and math.isfinite(limit) else 0.0}
+    words = ['--ros-args', '-r', f'__ns:=/{arguments.namespace.strip("/")}']
+    with ParameterFiles() as files:
+        words += ['--params-file', files.add(format_parameters(c))]
+        if arguments.topics:
+            yield from _through_topics(words, own)
+            return
+        opened = True
+        stopping = Stopping()
+        with stop_on_estop(stopping, c.driver_class.lockstep, arguments.namespace):
+            for result in check_contract(c, amplitude, arguments.saturate,
+                                         lambda: stopping.reason):
+                opened &= result.name != 'opens' or result.passed is not False
+                yield result
+        if find_spec('rclpy') is None:
+            yield Result('as a node', None, 'not tried', 'as in docs/topics.md',
+                         'rclpy is not installed here')
+        elif opened:
+            yield from _as_a_node(words, own, Path(files.add('')))
+
+
+def _as_a_node(words: list[str], own: dict[str, Any], log: Path) -> Iterator[Result]:
+    """Host the driver, check it through topics, kill its host and check again."""
+    for only in ('', 'killed and started again'):
+        with log.open('wb') as out:
+            host = start_node('actuator_node', words, stdout=out, stderr=subprocess.STDOUT)
+            end = host.terminate if only else host.kill
+            try:
+                try:
+                    yield from _through_topics(words, {**own, 'only': only}, host, log)
+                except DriverError as error:
+                    end = host.terminate
+                    yield Result(only or 'as a node', False, 'not there', 'publishes state',
+                                 str(error))
+                    return
+                if host.poll() is not None:
+                    yield Result('host', False, f'exit code {host.returncode}', 'running',
+                                 _last_line(log))
+                    return
+            finally:
+                end()
+                wait_or_kill(host)
+
+
+def _through_topics(words: list[str], own: dict[str, Any],
+                    host: subprocess.Popen[Any] | None = None,
+                    log: Path | None = None) -> Iterator[Result]:
+    """Run the kit's node; yield what it finds."""
+    more = [item for key, value in own.items() if value != ''
+            for item in ('-p', f'{key}:={json.dumps(value)}')]
+    node = start_node('check_node', [*words, *more], stdout=subprocess.PIPE,
+                      stderr=subprocess.PIPE, text=True)
+    try:
+        assert node.stdout is not None
+        for text in node.stdout:
+            if text.startswith('{'):
+                yield Result(**json.loads(text))
+        lines = node.communicate()[1].strip().splitlines()
+        if node.returncode:
+            ended = host is not None and host.poll() is not None and log is not None
+            raise DriverError(_last_line(log) if ended and log else
+                              lines[-1] if lines else f'exit code {node.returncode}')
+    finally:
+        node.terminate()
+        wait_or_kill(node)
+
+
+def _last_line(log: Path) -> str:
+    """Return the last thing a process wrote."""
+    lines = log.read_text(encoding='utf-8', errors='replace').strip().splitlines()
+    return lines[-1] if lines else 'no output'

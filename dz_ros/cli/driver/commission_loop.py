@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steps of a commissioning after the device is identified: proposal, check, loop, report."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+import signal
+import sys
+
+import numpy as np
+
+from dz_ros.cli.check import format_findings, stability_limit
+from dz_ros.cli.driver.commission_state import Outcome, State, StepFailedError
+from dz_ros.cli.driver.identify_moves import ask_to_move
+from dz_ros.cli.driver.identify_output import proposal_lines
+from dz_ros.cli.output import print_lines
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.design.finding import ERROR, WARNING, worst
+from dz_ros.core.design.rules import check
+from dz_ros.core.schema import fields
+from dz_ros.errors import ConfigurationError, RecordingError
+from dz_ros.files.configurations import load_configuration, write_parameters
+from dz_ros.identification.estimation.pipeline import identify_log, refine_identified
+from dz_ros.identification.proposal import propose
+from dz_ros.runtime.signals import ENDS
+from dz_ros.studies.tune import Proposal
+
+PEAK = 2.46
+"""Largest speed of point_to_point over distance and duration."""
+USED = 0.5
+"""Share of the speed limit that the first motion uses."""
+SHORTEST = 1.0
+"""The first motion takes this at least [s]."""
+RAMP = 0.5
+"""Time in which the first loop's command goes over from the safe one [s]."""
+TRACKS, MOSTLY = 0.1, 0.95
+"""A loop tracks where its error is at most the first share of its motion in the second share of
+the last samples: a moment in which the machine stands still is no finding."""
+PROPOSED = 'proposed.yaml'
+
+
+def propose_step(state: State) -> Outcome:
+    """Write a configuration for a small motion from where the device stands.
+
+    Raises:
+        StepFailedError: No gains keep the design rules.
+    """
+    from dz_ros.recording.reader import read_run
+
+    if state.identified is None:
+        run = read_run(state.of('identify') / 'run')
+        try:
+            samples, found = identify_log(run, state.c)
+        except RecordingError as error:
+            raise StepFailedError(str(error)) from error
+        state.identified = found, refine_identified(found, samples, state.c)[0]
+    found, fitted = state.identified
+    try:
+        proposal, notes = propose(first_motion(state), found, fitted)
+    except ConfigurationError as error:
+        raise StepFailedError(str(error)) from error
+    path = state.folder / PROPOSED
+    write_parameters(proposal.after, path)
+    print_lines(proposal_lines(proposal, (), notes, path))
+    if lacking := lacks(proposal, state.amplitude):
+        raise StepFailedError(lacking)
+    return Outcome(f'configuration: {path}', {
+        key: value for key, value in proposal.after.to_flat('controller', 'safety').items()
+        if isinstance(value, (int, float, str))})
+
+
+def lacks(proposal: Proposal, amplitude: float) -> str:
+    """Return why the proposed loop does not follow the first motion in simulation, '' if it does.
+
+    Args:
+        proposal: The proposal with its simulated runs.
+        amplitude: Of the motion [unit of x].
+    """
+    for name, row in proposal.rows.items():
+        if not name.startswith('after'):
+            continue
+        if row['lost']:
+            return f'the proposed loop is lost in simulation: {row["reason"]}'
+        if row['error_max'] > TRACKS * amplitude:
+            return (f'the proposed loop does not follow in simulation: largest error '
+                    f'{row["error_max"]:.3g} of a motion of {amplitude:g}, largest |v| '
+                    f'{row["v_peak_run"]:.3g}: allow more --effort, or a smaller --amplitude')
+    return ''
+
+
+def first_motion(state: State) -> Configuration:
+    """Return the configuration given, for a first motion within the limits."""
+    c, limits = state.c, state.limits
+    home = state.log.number('identify', 'position') if c.plant.order > 1 else 0.0
+    duration = SHORTEST
+    if c.plant.order > 1:
+        duration = max(duration, PEAK * state.amplitude / (USED * limits.speed))
+    keys = {'trajectory.kind': 'point_to_point', 'trajectory.start': home,
+            'trajectory.goal': home + state.amplitude, 'trajectory.t_start': 1.0,
+            'trajectory.duration': duration, 'trajectory.repeat': True, 'trajectory.dwell': 1.0,
+            'loop.duration': state.duration, 'safety.command_limit': limits.effort,
+            'safety.error_limit': 0.5 * limits.travel,
+            'safety.ramp': c.safety.ramp or RAMP}
+    if c.simulated and c.plant_settings.command_limit == 0.0:
+        keys['plant.command_limit'] = limits.effort
+    if 'v_max' in {item.name for item in fields(type(c.law.gains))}:
+        keys['controller.v_max'] = limits.effort
+    sensor = state.log.newest('sensor')
+    step = sensor.result.get('resolution') if sensor is not None else None
+    if isinstance(step, float) and step > 0.0 and c.make_driver().resolution == 0.0:
+        keys['driver.resolution'] = step
+    kept = {key: value for key, value in c.to_flat().items()
+            if not key.startswith('trajectory.')}
+    return Configuration.from_flat({**kept, **keys})
+
+
+def proposed(state: State) -> tuple[Path, Configuration]:
+    """Return the newest proposal.
+
+    Raises:
+        StepFailedError: There is none.
+        ConfigurationError: It cannot be read.
+    """
+    path = state.of('propose') / PROPOSED
+    return path, load_configuration(path)
+
+
+def check_step(state: State) -> Outcome:
+    """Apply the design rules to the proposal.
+
+    Raises:
+        StepFailedError: One finds an error.
+    """
+    path, c = proposed(state)
+    findings = check(c, None, stability_limit(c))
+    print(format_findings(findings))
+    count = {level: sum(item.level == level for item in findings) for level in (ERROR, WARNING)}
+    rules = {'errors': count[ERROR], 'warnings': count[WARNING], 'rules': [
+        item.rule for item in findings if item.level in (ERROR, WARNING)]}
+    if worst(findings) == ERROR:
+        raise StepFailedError(f'{count[ERROR]} design rules find an error in {path}', **rules)
+    return Outcome(f'{path} keeps the design rules, {count[WARNING]} warnings', rules)
+
+
+def loop_step(state: State) -> Outcome:
+    """Close the loop for a small motion, record it, and judge whether it tracks.
+
+    Raises:
+        StepFailedError: It does not, or the loop ends in a fault.
+    """
+    from dz_ros.cli.main import parser_of
+    from dz_ros.recording.reader import read_run
+    from dz_ros.report.verdict import judge
+    from dz_ros.report.view import View
+
+    path, c = proposed(state)
+    name = f'/{state.namespace.strip("/")}/estop' if state.namespace.strip('/') else '/estop'
+    ask_to_move(c, state.limits, f'the first closed loop, {state.amplitude:g} back and forth',
+                c.loop.duration, state.yes)
+    print_lines(f'the e-stop is armed: topic {name}, dz estop, Ctrl-C')
+    directory = state.folder / 'run'
+    words = ['run', str(path), '--record', str(directory), '--namespace', state.namespace]
+    if state.page is not None:
+        words += ['--live', '--host', state.page[0], '--port', str(state.page[1])]
+    arguments = parser_of(words).parse_args(words)
+    previous = {number: signal.getsignal(number) for number in ENDS}
+    try:
+        code = arguments.do(arguments)
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+    sys.stdout.flush()
+    if not directory.exists():
+        raise StepFailedError(f'the loop did not start, exit code {code}')
+    view = View.of(read_run(directory))
+    verdict, unit = judge(view), c.make_driver().state_units[0]
+    rows = view.rows
+    tail = np.abs(rows.error[rows.t >= view.metrics.window[0], 0])
+    error = float(np.quantile(tail, MOSTLY)) if len(tail) else math.inf
+    numbers = {'error': error, 'error_max': view.metrics.error_max, 'exit_code': code,
+               'failures': list(verdict.failures)}
+    if code or verdict.failures:
+        raise StepFailedError('; '.join(verdict.failures) or f'exit code {code}', **numbers)
+    found = (f'error {error:.3g} {unit} in {MOSTLY:.0%} of the last samples, largest '
+             f'{view.metrics.error_max or math.inf:.3g} {unit}, of a motion of '
+             f'{state.amplitude:g} {unit}')
+    if not error <= TRACKS * state.amplitude:
+        raise StepFailedError(f'it does not track: {found}', **numbers)
+    return Outcome(f'it tracks: {found}', numbers)
+
+
+def report_step(state: State) -> Outcome:
+    """Write the report of the newest loop."""
+    from dz_ros.recording.reader import read_run
+    from dz_ros.report.report import write_report
+
+    run = state.of('loop') / 'run'
+    page = write_report(read_run(run), state.folder / 'report', title=run.parent.name)
+    return Outcome(f'report: {page}', {'page': str(page.relative_to(state.log.folder))})

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steps of a commissioning that move the device open loop: sign, sensor, identification."""
+
+from __future__ import annotations
+
+import time
+from typing import TypeVar
+
+import numpy as np
+
+from dz_ros.cli.driver.commission_state import Outcome, State, StepFailedError
+from dz_ros.cli.driver.identify_moves import ask_to_move, move
+from dz_ros.cli.driver.identify_output import plant_lines, result_lines, write_bounds
+from dz_ros.cli.output import print_lines
+from dz_ros.errors import DriverError, RecordingError
+from dz_ros.identification.estimation.pipeline import (
+    find_delay,
+    identify,
+    refine_identified,
+)
+from dz_ros.identification.estimation.sensor import resolution
+from dz_ros.identification.experiment.moves import Experiment
+from dz_ros.identification.experiment.pulses import Pulses, SignTest
+from dz_ros.identification.samples import Samples, to_run
+
+Moves = TypeVar('Moves', bound=Experiment)
+
+
+def _moved(state: State, experiment: Moves, what: str) -> Samples:
+    """Ask, move, keep the moves as a run, whatever comes of them.
+
+    Raises:
+        StepFailedError: The device did not do what it had to, or it was stopped.
+    """
+    c = state.c
+    ask_to_move(c, state.limits, what, experiment.duration, state.yes)
+    begun = time.time_ns()
+    try:
+        samples = move(c, experiment, state.namespace,
+                       lambda found: state.keep(to_run(found, c, begun)))
+    except DriverError as error:
+        raise StepFailedError(' '.join(str(error).split())) from error
+    for breach in experiment.breaches:
+        print_lines(f'a limit stopped it: {breach}')
+    state.keep(to_run(samples, c, begun))
+    return samples
+
+
+def _position(samples: Samples) -> float:
+    """Return where the device stood last."""
+    x = samples.x[:, 0]
+    return float(x[np.isfinite(x)][-1])
+
+
+def sign_step(state: State) -> Outcome:
+    """Let the device just move to either side.
+
+    Raises:
+        StepFailedError: It moves the other way, or not at all.
+    """
+    c = state.c
+    test = SignTest(state.limits, state.plan, c.plant.order, c.loop.period, c.safety.safe_command)
+    samples = _moved(state, test, 'a small pulse to each side')
+    right, left = test.sides[1], -test.sides[-1]
+    return Outcome(f'the device follows the command: it began to move at v = {right:.4g} and '
+                   f'{left:.4g} {c.make_driver().command_unit}',
+                   {'right': right, 'left': left, 'position': _position(samples)})
+
+
+def sensor_step(state: State) -> Outcome:
+    """Measure resolution, noise and delay by pulses.
+
+    Raises:
+        StepFailedError: The device does not do what it has to.
+    """
+    c = state.c
+    sides = [state.log.number('sign', name) for name in ('right', 'left')]
+    pulses = Pulses(state.limits, state.plan, c.plant.order, c.loop.period, c.safety.safe_command,
+                    sides)
+    samples = _moved(state, pulses, 'short pulses to both sides')
+    step = resolution(samples.x[:, 0])
+    missing = float(np.mean(~np.isfinite(samples.x[:, 0])))
+    units = c.make_driver().state_units
+    found = {'resolution': step, 'noise': list(pulses.noise), 'missing': missing,
+             'position': _position(samples)}
+    try:
+        delay = find_delay(samples, c, pulses.moving)
+        found['delay'] = delay
+        late = f'commands act {delay} samples late'
+    except RecordingError as error:
+        late = f'the pulses do not show the delay ({error}), the identification will'
+    noise = ', '.join(f'{value:.2g} {unit}' for value, unit in
+                      zip(pulses.noise[:samples.measured], units, strict=False))
+    return Outcome((f'one step of the position is {step:.4g} {units[0]}' if step else
+                    'the position shows no steps') + f'; noise at rest {noise}; {late}'
+                   + (f'; {100.0 * missing:.2g} % of the samples without a measurement'
+                      if missing else ''), found)
+
+
+def identify_step(state: State) -> Outcome:
+    """Find dead-zone and plant by the moves of ``dz driver identify``.
+
+    Raises:
+        StepFailedError: The moves do not show them.
+    """
+    c = state.c
+    experiment = Experiment(state.limits, state.plan, c.plant.order, c.loop.period,
+                            c.safety.safe_command)
+    samples = _moved(state, experiment, f'{state.plan.repeats} times ramps and steps both ways')
+    try:
+        found = identify(samples, c, experiment.moving)
+    except RecordingError as error:
+        raise StepFailedError(str(error)) from error
+    fitted, problem = refine_identified(found, samples, c)
+    print_lines(result_lines(found, c))
+    print_lines(plant_lines(fitted, c))
+    write_bounds(found, fitted, c, [v for _, v in experiment.breakaway], state.folder)
+    state.identified = found, fitted
+    numbers = {name: item.value for name, item in found.bounds.items()}
+    return Outcome('identified: ' + ', '.join(f'{name} = {value:.4g}'
+                                              for name, value in numbers.items())
+                   + (f'; {problem}' if problem else ''),
+                   {**numbers, 'delay': found.delay, 'residual': found.residual,
+                    'position': _position(samples)})

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``dz driver identify``: a dead-zone and its bounds, by moving the device or from a run.
+
+Writes a folder that must not exist: the moves as a run, the bounds, a configuration that is ready
+to run, the numbers as JSON, a picture. Exit code 1 where a design rule finds an error in it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+import time
+
+from dz_ros.cli.check import FOUND_ERRORS
+from dz_ros.cli.driver.identify_moves import ask, move
+from dz_ros.cli.driver.identify_output import (
+    plant_lines,
+    proposal_lines,
+    result_lines,
+    write_bounds,
+)
+from dz_ros.cli.driver.move_limits import add_limits, build_limits, given_limits
+from dz_ros.cli.options import add_allow_import, add_configuration, read_configuration
+from dz_ros.cli.output import print_lines
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.dataset import RunData
+from dz_ros.core.design.finding import ERROR, worst
+from dz_ros.core.design.rules import check
+from dz_ros.errors import ConfigurationError, RunExistsError
+from dz_ros.files.configurations import flat_parameters, write_parameters
+from dz_ros.identification.estimation.pipeline import (
+    identify,
+    identify_log,
+    refine_identified,
+)
+from dz_ros.identification.estimation.static_friction import static_friction_note
+from dz_ros.identification.experiment.moves import Experiment
+from dz_ros.identification.proposal import propose
+from dz_ros.identification.samples import to_run
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    add_configuration(parser, 'where the e-stop is, whose topics of RUN and sections of CONFIG '
+                      'count')
+    parser.set_defaults(config=None)
+    add_limits(parser, 'limits of the moves, in the units of the driver')
+    parser.add_argument('--yes', action='store_true', help='do not ask before it moves')
+    parser.add_argument('--from', type=Path, metavar='RUN', dest='run',
+                        help='move nothing: read the dead-zone from a recorded run')
+    add_allow_import(parser)
+    parser.add_argument('--out', type=Path, metavar='DIR',
+                        help='folder to write; must not exist (default: identified-TIME)')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Move or read, identify, print, write.
+
+    Raises:
+        RunExistsError: The folder is there already.
+        ConfigurationError: Limits that are missing or not allowed.
+    """
+    out = arguments.out or Path(time.strftime('identified-%Y%m%d-%H%M%S'))
+    if out.exists():
+        raise RunExistsError(f'{out}: exists already; choose another folder with --out')
+    breakaway: list[float] = []
+    if arguments.run is not None:
+        c, data = _recorded(arguments)
+        samples, found = identify_log(data, c)
+        _begin(out)             # a run that cannot be used leaves nothing behind
+    else:
+        if arguments.config is None:
+            raise ConfigurationError('CONFIG', '', 'must name the configuration of the device, or '
+                                     'give --from RUN')
+        c = read_configuration(arguments)
+        limits, plan = build_limits(given_limits(arguments), c)
+        experiment = Experiment(limits, plan, c.plant.order, c.loop.period,
+                                c.safety.safe_command)
+        ask(c, limits, plan, experiment.duration, arguments.yes)
+        start_ns = time.time_ns()
+        samples = move(c, experiment, arguments.namespace)
+        made = to_run(samples, c, start_ns)
+        breakaway = [v for _, v in experiment.breakaway]
+        if experiment.stalls:
+            print_lines(f'the machine stalled {len(experiment.stalls)} times, for up to '
+                        f'{max(experiment.stalls):.2f} s; those moves were made again')
+        for breach in experiment.breaches:
+            print_lines(f'a limit stopped it: {breach}')
+        from dz_ros.recording.save import save_run
+
+        _begin(out)             # the moves are kept, whatever comes of them
+        save_run(made, out / 'run')
+        found = identify(samples, c, experiment.moving)
+    print_lines(result_lines(found, c))
+    fitted, problem = refine_identified(found, samples, c)
+    print_lines(plant_lines(fitted, c))
+    write_bounds(found, fitted, c, breakaway, out)
+    proposal, notes = propose(c, found, fitted)
+    sticks = static_friction_note(found, breakaway, c)
+    notes = (*notes, *(item for item in (problem, sticks) if item))
+    findings = check(proposal.after)
+    write_parameters(proposal.after, out / 'identified.yaml')
+    print_lines(proposal_lines(proposal, findings, notes, out / 'identified.yaml'))
+    return FOUND_ERRORS if worst(findings) == ERROR else 0
+
+
+def _begin(out: Path) -> None:
+    """Make the folder."""
+    out.mkdir(parents=True)
+    print(f'writing {out}')
+
+
+def _recorded(arguments: argparse.Namespace) -> tuple[Configuration, RunData]:
+    """Return the configuration of a run, or the one given, and the run.
+
+    Raises:
+        ConfigurationError: There is none.
+    """
+    from dz_ros.recording.reader import read_run
+    from dz_ros.replay.whatif import base_configuration
+    from dz_ros.runs.axes import choose_axis
+
+    data = choose_axis(read_run(arguments.run, arguments.namespace or None), arguments.axis)
+    if arguments.config is not None:
+        return read_configuration(arguments), data
+    flat = base_configuration(data)
+    if not flat:
+        raise ConfigurationError('CONFIG', '', 'the run does not state what ran: name its '
+                                 'configuration')
+    return Configuration.from_untrusted(flat, flat_parameters(None, arguments.overrides),
+                                        driven=True), data

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Moving a device from the command line: asked first, paced, stopped by signals and the e-stop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import sys
+import time
+
+from dz_ros.cli.driver.stop_requests import stop_on_estop
+from dz_ros.cli.progress import Progress
+from dz_ros.core.configuration import Configuration
+from dz_ros.errors import ConfigurationError, DriverError
+from dz_ros.identification.experiment.moves import Experiment
+from dz_ros.identification.experiment.plan import Limits, Plan
+from dz_ros.identification.experiment.session import run_session
+from dz_ros.identification.samples import Samples
+from dz_ros.runtime.deadlines import Deadlines
+from dz_ros.runtime.signals import stop_on_signals, Stopping
+
+SLICE = 0.05
+"""A signal is noticed within this, or a sample [s]."""
+
+
+def ask(c: Configuration, limits: Limits, plan: Plan, duration: float, yes: bool) -> None:
+    """Print what is going to move, and ask whether it may.
+
+    Raises:
+        ConfigurationError: There is no terminal to ask at.
+        DriverError: The answer is not yes.
+    """
+    ask_to_move(c, limits, f'{plan.repeats} times ramps and steps both ways', duration, yes)
+
+
+def ask_to_move(c: Configuration, limits: Limits, what: str, duration: float, yes: bool) -> None:
+    """Print how a device is going to move, and ask whether it may.
+
+    Args:
+        c: Names the driver.
+        limits: How far, fast and hard at most.
+        what: The moves, as text.
+        duration: Of all of it, at most [s].
+        yes: Do not ask.
+
+    Raises:
+        ConfigurationError: There is no terminal to ask at.
+        DriverError: The answer is not yes.
+    """
+    driver = c.make_driver()
+    x, unit = driver.state_units[0], driver.command_unit
+    speed = ''
+    if c.plant.order > 1:
+        speed = f', no faster than {limits.speed:g} {driver.state_units[1]}'
+    print(f'{driver.name} is going to move: {what}, '
+          f'within {limits.travel:g} {x} of where it stands{speed}, |v| up to {limits.effort:g} '
+          f'{unit}, at most about {duration:.0f} s' + (' of loop time' if driver.lockstep else ''))
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise ConfigurationError('--yes', False, 'there is no terminal to ask whether it may '
+                                 'move; check that the area is clear, then give --yes')
+    if input('Is everybody away from it, and the e-stop at hand? Type yes to start: ') != 'yes':
+        raise DriverError('nothing has moved')
+
+
+def move(c: Configuration, experiment: Experiment, namespace: str,
+         kept: Callable[[Samples], None] | None = None) -> Samples:
+    """Run an experiment through the configured driver.
+
+    Args:
+        c: The configuration.
+        experiment: What to do.
+        namespace: Where the e-stop is.
+        kept: Called with what was measured where it does not come to its end.
+
+    Raises:
+        DriverError: The device fails, or it was stopped: the safe command has been sent.
+    """
+    lockstep = c.driver_class.lockstep
+    progress = Progress(experiment.plan.repeats, what='repeats')
+    with stop_on_signals() as stopping, stop_on_estop(stopping, lockstep, namespace):
+        wait = (lambda seq: seq) if lockstep else _pacer(c.loop.period, stopping)
+
+        shown = 0
+
+        def stopped() -> str:
+            nonlocal shown
+            if experiment.repeat > shown:
+                shown = experiment.repeat
+                progress(shown, experiment.plan.repeats)
+            return stopping.reason
+
+        samples = run_session(c, experiment, wait, stopped, kept=kept)
+        progress(experiment.plan.repeats, experiment.plan.repeats)
+        return samples
+
+
+def _pacer(period: float, stopping: Stopping) -> Callable[[int], int]:
+    """Return what waits for a sample on absolute deadlines of the steady clock."""
+    deadlines: list[Deadlines] = []
+
+    def wait(_seq: int) -> int:
+        if not deadlines:
+            deadlines.append(Deadlines(period, time.monotonic_ns()))
+            return 0
+        while (left := deadlines[0].remaining()) > 0.0 and not stopping.reason:
+            time.sleep(min(left, SLICE))
+        return deadlines[0].begin()
+
+    return wait

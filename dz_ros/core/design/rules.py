@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Design rules of a configuration, checked and explained (ours).
+
+    k* ≥ ρ/m_min + Δ/(b_min m_min) + ρ_I      (18), with disturbance |·| ≤ Δ and an integral's ρ_I;
+                                              with a feed-forward m_max |d̂ − d|/m in place of ρ
+    ω against K, and its noise against ε       (core/design/observation), where a driver observes
+    limit cycle of commands in steps           (core/design/command_steps)
+    spectral radius of the loop < 1            no chatter (dz_ros.core.design.linear_loop)
+    |x̃_i| ≤ 2^(i−1) λ^(i−n) ε                 Ω_ε (dz_ros.core.tracking)
+
+An error means that the theorem, or a calm command, is lost for certain; a warning that it may be,
+or is for some plant within the bounds. Theory: mathematics.md §5, §12.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+import math
+from typing import Any
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.deadzone import rho
+from dz_ros.core.design.along_reference import disturbance_along_reference
+from dz_ros.core.design.assumptions import check_assumptions, check_projection
+from dz_ros.core.design.boundary_layer import chatter_limit
+from dz_ros.core.design.command_steps import check_command_steps
+from dz_ros.core.design.finding import ERROR, Finding, INFO, WARNING
+from dz_ros.core.design.guard_noise import check_guard
+from dz_ros.core.design.linear_loop import largest_beta, largest_gain, spectral_radius
+from dz_ros.core.design.observation import check_observer
+from dz_ros.core.laws.base import Design
+from dz_ros.core.laws.extensions import largest_rest
+from dz_ros.core.tracking import guaranteed_bounds
+
+DELAYS = (0, 1, 2)
+"""Loop delays for which the margin is stated [samples]; topics take one of the first two."""
+
+ROUNDING = 1e-9
+"""k* may miss its bound by this share: sums that are meant to be equal."""
+
+
+def least_robust_gain(bound: float, m_min: float, b_min: float = 1.0, disturbance: float = 0.0,
+                      reserve: float = 0.0) -> float:
+    """Return the least k* that covers dead-zone, disturbance and integral, (18) [actuator unit].
+
+    Args:
+        bound: ρ [actuator unit].
+        m_min: Least slope m.
+        b_min: Least input gain b [unit of x^(n) per actuator unit].
+        disturbance: Bound Δ of the disturbance [unit of x^(n)].
+        reserve: Authority ρ_I of an integral [actuator unit].
+    """
+    return bound / m_min + disturbance / (b_min * m_min) + reserve
+
+
+def dead_zone_bound(c: Configuration, design: Design) -> float:
+    """Return what of the dead-zone k* has to cover, ρ, or m_max |d̂ − d|/m with a feed-forward."""
+    known = c.controller_settings
+    if design.inverse:
+        return 0.0
+    if design.guess:
+        return known.m_bounds[1] * largest_rest(design.guess, known.b_r_bounds, known.b_l_bounds)
+    return rho(known.b_r_bounds[1], known.b_l_bounds[0], known.m_bounds[1])
+
+
+def check(configuration: Configuration, disturbance: float | None = None,
+          stability_limit: float | None = None,
+          lost: bool | None = None, complaints: bool = False) -> tuple[Finding, ...]:
+    """Return the findings of all rules, assumptions first.
+
+    Args:
+        configuration: The configuration to check.
+        disturbance: Bound on the disturbance to withstand [unit of x^(n)]; None = what the
+            plant's model gives along the reference.
+        stability_limit: `dz_ros.core.design.stability.lambda_limit` of it [1/s]; None = not
+            computed.
+        lost: `dz_ros.core.design.stability.lost_from_start` of it; None = not computed.
+        complaints: True where only warnings and errors are wanted, quickly: margins of a calm loop
+            are not computed.
+
+    Raises:
+        ConfigurationError: It is of several axes.
+    """
+    configuration.require_one()
+    c, design = configuration, configuration.law.design
+    findings = list(check_assumptions(c))
+    if design is None:
+        findings.append(Finding(WARNING, 'law', f'nothing is known of {c.law.name}: the rules on '
+                                'k*, Ω_ε, chatter and λ were not applied'))
+        return tuple(findings)
+    if disturbance is None:
+        disturbance = disturbance_along_reference(c)
+    driver = c.make_driver()
+    findings += [*check_projection(c, design), *_robust_gain(c, design, disturbance),
+                 *_target(c, design), *_chatter(c, design, complaints),
+                 *check_observer(c, driver.measured, driver.resolution),
+                 *check_guard(c, driver.measured, driver.resolution),
+                 *check_command_steps(c, getattr(driver, 'command_resolution', 0.0),
+                                      driver.measured),
+                 *_stability(c, design, stability_limit, lost), *_uncovered(c, design)]
+    return tuple(findings)
+
+
+def _robust_gain(c: Configuration, design: Design, disturbance: float) -> Iterator[Finding]:
+    """(18), with the disturbance and an integral on top."""
+    known = c.controller_settings
+    bound = dead_zone_bound(c, design)
+    m_min, b_min = known.m_bounds[0], known.b_bounds[0]
+    least = least_robust_gain(bound, m_min, reserve=design.reserve)
+    full = least_robust_gain(bound, m_min, b_min, disturbance, design.reserve)
+    numbers = {'k': design.k, 'rho': bound, 'least': least, 'reserve': design.reserve,
+               'disturbance': disturbance, 'least_with_disturbance': full}
+    share = f' + {design.reserve:g} of the integral' if design.reserve else ''
+    name = 'rho' if not design.guess else 'what the feed-forward leaves, rho'
+    term = f'{name}/m_min{share}'
+    covers = (f'{c.law.name} compensates the dead-zone itself' if design.inverse else
+              f'k* = {design.k:g} covers the dead-zone ({term} = {least:.4g})')
+    if design.k <= 0.0 and not design.inverse:
+        yield Finding(WARNING, '(18)', f'{c.law.name} has no robust term: nothing covers the '
+                      f'dead-zone, rho/m_min = {least:.4g}', numbers, 'choose another law')
+    elif design.k < least * (1.0 - ROUNDING):
+        yield Finding(ERROR, '(18)', f'k* = {design.k:g} does not cover the dead-zone: '
+                      f'{term} = {least:.4g}', numbers,
+                      f'raise k* to {least:.4g}, or narrow the bounds'
+                      + (', or give the integral less authority' if share else '')
+                      + (', or guess the break points better' if design.guess else ''))
+    elif design.k < full * (1.0 - ROUNDING):
+        covered = (design.k - least) * b_min * m_min
+        if design.inner_reserve >= full - design.k:
+            yield Finding(INFO, '(18)', f'{covers}; of the disturbance {disturbance:.4g} the '
+                          f'robust term covers {covered:.4g}, the integral inside the layer, up '
+                          f'to {design.inner_reserve:g}, takes the rest: in simulation, without '
+                          f'proof (k* = {full:.4g} would have one)', numbers)
+            return
+        yield Finding(WARNING, '(18)', f'{covers}; of the disturbance {disturbance:.4g} the '
+                      f'robust term covers {covered:.4g}', numbers,
+                      f'raise k* to {full:.4g}, or rely on what adaptation and layer absorb')
+    else:
+        yield Finding(INFO, '(18)', f'{covers}; k* covers a disturbance of {disturbance:.4g} '
+                      f'too ({full:.4g} together)', numbers)
+
+
+def _target(c: Configuration, design: Design) -> Iterator[Finding]:
+    """Ω_ε."""
+    if design.target <= 0.0:
+        yield Finding(INFO, 'Ω', f'{c.law.name} promises no set that the error converges to')
+        return
+    bounds = guaranteed_bounds(design.lambda_, design.target, c.plant.order)
+    parts = (f'|x̃{i}| <= {bound:.4g}' + ('' if unit == '1' else f' {unit}')
+             for i, (bound, unit) in enumerate(zip(bounds, c.plant.state_units, strict=True), 1))
+    yield Finding(INFO, 'Ω', 'where the theorem holds the error converges to '
+                  f'|s| <= {design.target:.4g}: ' + ', '.join(parts),
+                  {f'x{i}': bound for i, bound in enumerate(bounds)})
+
+
+def _chatter(c: Configuration, design: Design, complaints: bool) -> Iterator[Finding]:
+    """B m against its limit, for the delays a loop may have and the one configured."""
+    known, period = c.controller_settings, c.loop.period
+    betas = tuple(b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
+    law, model = c.law, c.law.layer_model()
+    if model is None:
+        return
+    for delay in sorted({*DELAYS, c.loop.delay}):
+        unlikely = delay > 1 and delay != c.loop.delay      # never more than a note
+        if complaints and (unlikely or all(
+                spectral_radius(model, period, beta, delay) < 1.0 for beta in betas)):
+            continue
+        largest = largest_beta(model, period, delay)
+        low, high = (beta / largest if largest > 0.0 else math.inf for beta in betas)
+        numbers = {'delay': float(delay), 'share_low': low, 'share_high': high,
+                   'largest_beta': largest}
+        words = (f'delay {delay}: b m is {low:.2f} to {high:.2f} of where chatter begins'
+                 if largest > 0.0 else f'delay {delay}: K is too high at any input gain')
+        steepest = largest_gain(law.layer_model, period, betas[1], delay)
+        numbers['largest_gain'] = steepest
+        if design.epsilon > 0.0 and design.k > 0.0:
+            k_d = design.gain - design.k / design.epsilon
+            smallest = (design.k / (steepest - k_d)
+                        if steepest > max(k_d, design.least_gain) else math.inf)
+            numbers['smallest_epsilon'] = smallest
+            margin = _largest_margin(c, design, steepest)
+            if math.isfinite(smallest):
+                words += f'; smallest usable ε {smallest:.3g} with K = {steepest:.4g}'
+                if margin is not None:
+                    numbers['largest_margin'] = margin
+                    words += f', controller.margin = {margin:.3g}' if margin <= 1.0 else ''
+        change = _calmer(c, delay, numbers)
+        own = delay == c.loop.delay
+        level = INFO
+        if high >= 1.0:
+            level = ERROR if own and low >= 1.0 else WARNING if own or delay <= 1 else INFO
+            words += ': chatters' + (' where b m is large' if low < 1.0 else ' for certain')
+        yield Finding(level, 'chatter', words, numbers, '' if level == INFO else change)
+
+
+def derives_epsilon(gains: Any) -> bool:
+    """Return whether ε is made from margin, beta and design_delay instead of being a gain."""
+    return (bool(getattr(gains, 'automatic_epsilon', not hasattr(gains, 'epsilon')))
+            and all(hasattr(gains, key) for key in ('margin', 'beta', 'design_delay')))
+
+
+def _largest_margin(c: Configuration, design: Design, steepest: float) -> float | None:
+    """Return the f with which a law that makes its own ε arrives at this K; None = it does not."""
+    gains = c.law.gains
+    if not derives_epsilon(gains):
+        return None
+    # K0 = f μ_d/(β T), in `extended` with the lead as a part of it.
+    lead = design.lead if hasattr(gains, 'epsilon') else 0.0
+    limit = chatter_limit(gains.design_delay) / (gains.beta * c.loop.period)
+    return float((steepest + lead) / limit)
+
+
+def _calmer(c: Configuration, delay: int, numbers: Mapping[str, float]) -> str:
+    """Return what makes K small enough, in keys the law has."""
+    smallest, steepest = numbers.get('smallest_epsilon'), numbers['largest_gain']
+    gains, known = c.law.gains, c.controller_settings
+    if smallest is None:
+        return ('lower k_d' + (f' below {steepest:.4g}' if steepest > 0.0 else '')
+                + ', or raise loop.rate')
+    if math.isinf(smallest):
+        return 'lower k_d or raise loop.rate: no ε is large enough'
+    if 'largest_margin' not in numbers:
+        if hasattr(gains, 'layer_gain'):
+            return (f'make controller.layer_gain smaller than {steepest:.4g}, or raise loop.rate'
+                    + (f'; controller.design_delay is {gains.design_delay} here, not {delay}'
+                       if gains.design_delay < delay else ''))
+        layer = 'controller.epsilon' if hasattr(gains, 'epsilon') else 'ε'
+        return f'make {layer} larger than {smallest:.3g}, lower k_d, or raise loop.rate'
+    words = f'make controller.margin smaller than {numbers["largest_margin"]:.3g}'
+    if hasattr(gains, 'gain_cap'):
+        words += f' or controller.gain_cap smaller than {steepest:.4g}'
+    words += ', or raise loop.rate'
+    beta = known.b_bounds[1] * known.m_bounds[1]
+    if gains.design_delay < delay:
+        words += f'; controller.design_delay is {gains.design_delay} here, not {delay}'
+    if gains.beta < beta:
+        words += f'; controller.beta is {gains.beta:g}, b_max m_max {beta:g}'
+    return words
+
+
+def _stability(c: Configuration, design: Design, limit: float | None,
+               lost: bool | None) -> Iterator[Finding]:
+    """λ against the limit found by simulation, or whether it is beyond it."""
+    if limit is None:
+        if lost is not None:
+            yield Finding(
+                ERROR if lost else INFO, 'λ', f'λ = {design.lambda_:g}; from this initial state '
+                + ('the sampled loop is lost' if lost else 'the sampled loop finds its reference'),
+                {'lambda': design.lambda_},
+                'lower λ (`dz check` finds its limit), start nearer to the reference, or project'
+                if lost else '')
+        return
+    numbers = {'lambda': design.lambda_, 'limit': limit}
+    if math.isinf(limit):
+        yield Finding(INFO, 'λ', 'no λ was found at which the sampled loop is lost', numbers)
+        return
+    level, change = INFO, ''
+    if design.lambda_ > limit:
+        level = ERROR
+        change = f'lower λ below {limit:.3g}, start nearer to the reference, or project'
+    elif design.lambda_ > 0.8 * limit:
+        level, change = WARNING, f'keep λ below {0.8 * limit:.3g}'
+    refused = ' or has no layer' if getattr(c.law.gains, 'automatic_epsilon', False) else ''
+    yield Finding(level, 'λ', f'λ = {design.lambda_:g}; from this initial state the sampled loop '
+                  f'is lost{refused} above λ = {limit:.3g}', numbers, change)
+
+
+def _uncovered(c: Configuration, design: Design) -> Iterator[Finding]:
+    """Return what the theorem does not cover."""
+    limit = c.plant_settings.command_limit
+    gaps = ['sampling and loop delay']
+    if any(c.noise):
+        gaps.append('measurement noise (v shows '
+                    f'{(design.gain + design.lead) * c.noise[-1]:.3g} of it)')
+    if limit > 0.0:
+        gaps.append(f'saturation at {limit:g}')
+    if c.plant_settings.backlash > 0.0:
+        gaps.append(f'a play of {c.plant_settings.backlash:g} in the actuator')
+    if getattr(c.plant.parameters, 'static_friction', 0.0) > 0.0:
+        gaps.append('friction that sticks: it depends on the command, as no regressor does')
+    yield Finding(INFO, 'not covered', 'the theorem is of continuous time and does not cover '
+                  + ', '.join(gaps))
+    known, used = getattr(c.law.gains, 'v_max', None), getattr(c.law.gains, 'anti_windup', True)
+    if limit > 0.0 and known is not None and not (used and 0.0 < known <= limit):
+        yield Finding(WARNING, 'saturation', f'the actuator clips at {limit:g}, the law '
+                      + (f'believes {known:g}' if known and used else 'knows no limit')
+                      + ': estimates and integral may wind up', {'limit': limit, 'v_max': known},
+                      f'set controller.v_max to {limit:g}'
+                      + ('' if used else ' and controller.anti_windup to true'))

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arguments of our launch files, checked: texts to values, a mistake named in one line (ours).
+
+The ROS-free part of `launch/*.launch.py`, which pass every argument through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import json
+import math
+from pathlib import Path
+import re
+from typing import Any
+
+import yaml
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.driven import DRIVERS
+from dz_ros.errors import ConfigurationError, LaunchArgumentError
+from dz_ros.files.configurations import find_configuration, load_configuration
+
+WORDS = {'true': True, 'yes': True, 'on': True, '1': True,
+         'false': False, 'no': False, 'off': False, '0': False}
+_NAME = '[A-Za-z_][A-Za-z0-9_]*'
+NAMESPACE = re.compile(f'/|/?{_NAME}(/{_NAME})*')
+TOPIC = re.compile(f'~?/?{_NAME}(/{_NAME})*')
+
+
+class LaunchArguments:
+    """The arguments of a launch as typed; each method raises LaunchArgumentError for a wrong one.
+
+    Args:
+        given: Name → text; an empty text stands for the default.
+    """
+
+    def __init__(self, given: Mapping[str, str]) -> None:
+        self._given = given
+
+    def text(self, name: str) -> str:
+        """Return an argument as it was typed, without the blanks around it."""
+        return self._given[name].strip()
+
+    def wrong(self, name: str, allowed: str) -> LaunchArgumentError:
+        """Return the error that names an argument, its value and what is allowed."""
+        return LaunchArgumentError(name, self._given[name], allowed)
+
+    def number(self, name: str, unit: str, above: float | None = None) -> float:
+        """Return an argument that is a number [unit], at least 0, or greater than `above`."""
+        limit = 'at least 0' if above is None else f'greater than {above:g}'
+        allowed = f'must be a number of {unit}, {limit}' if unit else f'must be a number, {limit}'
+        try:
+            value = float(self.text(name))
+        except ValueError:
+            raise self.wrong(name, allowed) from None
+        if not math.isfinite(value) or (value < 0.0 if above is None else value <= above):
+            raise self.wrong(name, allowed)
+        return value
+
+    def flag(self, name: str) -> bool:
+        """Return an argument that is true or false."""
+        found = WORDS.get(self.text(name).lower())
+        if found is None:
+            raise self.wrong(name, 'must be true or false')
+        return found
+
+    def namespace(self, name: str = 'namespace') -> str:
+        """Return a namespace of ROS, or nothing."""
+        return self._matching(name, self.text(name), NAMESPACE, 'must be a namespace of ROS: '
+                              'letters, digits and _, no digit first, joined by /')
+
+    def names(self, name: str) -> list[str]:
+        """Return topics or nodes, separated by commas."""
+        words = [word.strip() for word in self.text(name).split(',')]
+        return [self._matching(name, word, TOPIC, f'{word!r} is no name of ROS: letters, digits '
+                               'and _, no digit first, joined by /') for word in words if word]
+
+    def configuration(self, name: str = 'config') -> str:
+        """Return the path of a configuration given by path or by the name of one that ships."""
+        try:
+            return str(find_configuration(self.text(name)))
+        except ConfigurationError as error:
+            raise self.wrong(name, error.allowed) from error
+
+    def read(self, name: str = 'config', **overrides: Any) -> Configuration:
+        """Return that configuration itself, with other values of some dotted keys."""
+        try:
+            return load_configuration(self.configuration(name), [
+                f'{key}={json.dumps(value)}' for key, value in overrides.items()])
+        except LaunchArgumentError:
+            raise
+        except ConfigurationError as error:
+            raise self.wrong(name, str(error)) from error
+
+    def new_directory(self, name: str = 'record') -> str:
+        """Return the path of a run that is to be recorded, or nothing."""
+        if not self.text(name):
+            return ''
+        path = Path(self.text(name)).expanduser().absolute()
+        if path.exists():
+            raise self.wrong(name, 'exists already; recordings are never overwritten')
+        return str(path)
+
+    def existing(self, name: str, kind: str) -> str:
+        """Return the path of something that is there."""
+        path = Path(self.text(name)).expanduser().absolute()
+        if not self.text(name) or not path.exists():
+            raise self.wrong(name, f'no such {kind}')
+        return str(path)
+
+    def driver(self, name: str = 'driver') -> str:
+        """Return the name of a driver, or nothing."""
+        word = self.text(name)
+        known = [*DRIVERS.builtin, *DRIVERS.installed()]
+        if word and ':' not in word and word not in known:
+            raise self.wrong(name, f'no such driver; known: {", ".join(known)}; or give '
+                             'package.module:Class')
+        return word
+
+    def _matching(self, name: str, word: str, pattern: re.Pattern[str], allowed: str) -> str:
+        if word and not pattern.fullmatch(word):
+            raise self.wrong(name, allowed)
+        return word
+
+
+def joint_controllers(template: Path, configuration: Configuration, folder: Path) -> Path:
+    """Write the parameter file of the controllers for the joint of a configuration.
+
+    Args:
+        template: Parameter file with the section `effort_controller`.
+        configuration: Its driver, `joint`, names joint, interface and controller.
+        folder: Where the file goes.
+
+    Returns:
+        The file.
+
+    Raises:
+        ConfigurationError: The command topic is not that of a controller.
+    """
+    driver = configuration.driver_parameters
+    controller, _, last = driver.command_topic.strip('/').rpartition('/')
+    if last != 'commands' or not controller:
+        raise ConfigurationError('driver.command_topic', driver.command_topic,
+                                 'must end in CONTROLLER/commands where a controller is spawned')
+    controller = controller.rpartition('/')[2]
+    content = yaml.safe_load(template.read_text(encoding='utf-8'))
+    section = content.pop('effort_controller')
+    section['ros__parameters'].update(joints=[driver.joint], interface_name=driver.interface)
+    manager = content['controller_manager']['ros__parameters']
+    manager[controller] = manager.pop('effort_controller')
+    content[controller] = section
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / 'joint_controllers.yaml'
+    path.write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')
+    return path

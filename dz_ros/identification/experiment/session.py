@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The loop that runs an experiment through a driver; the safe command at every end.
+
+A sample is measured at t_k = k T, the command is sent at once and held until t_{k+1}. The caller
+owns the clock: `wait` returns when sample k is due, with its number (a later one where samples
+were missed), or at once for drivers without a clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.safety.command_limiter import CommandLimiter
+from dz_ros.drivers.hosted import HostedDriver
+from dz_ros.errors import DriverError
+from dz_ros.identification.experiment.moves import Experiment, STALL
+from dz_ros.identification.samples import Samples
+
+LAST = 5
+"""Number of samples at the end in which the safe command is given."""
+AFTER = 1.0
+"""A fault of the device within this after a stall of the machine is reset, and the move made again
+[s]."""
+
+
+class StoppedError(DriverError):
+    """The experiment was stopped; the safe command has been sent."""
+
+
+def run_session(configuration: Configuration, experiment: Experiment,
+                wait: Callable[[int], int], stopped: Callable[[], str],
+                hosted: HostedDriver | None = None,
+                kept: Callable[[Samples], None] | None = None) -> Samples:
+    """Run an experiment through the configured driver.
+
+    Args:
+        configuration: Driver, rate, limits.
+        experiment: What to do.
+        wait: Waits for the sample; returns its number, which may be a later one.
+        stopped: Why to stop, asked in each sample; '' = go on.
+        hosted: The driver; None = the configured one.
+        kept: Called with what was measured where the experiment does not come to its end.
+
+    Raises:
+        DriverError: The device fails, takes less than the experiment's effort, or does not do
+            what it would have to.
+        StoppedError: `stopped` gave a reason.
+    """
+    settings = configuration.safety
+    limit = min(item for item in (settings.command_limit, experiment.limits.effort) if item > 0.0)
+    limiter = CommandLimiter(replace(settings, command_limit=limit, ramp=0.0),
+                             configuration.loop.period)
+    driver = HostedDriver(configuration) if hosted is None else hosted
+    rows: Rows = []
+    try:
+        _driven(configuration, experiment, driver, limiter, wait, stopped, rows)
+    except DriverError:
+        if kept is not None and rows:
+            kept(_samples(rows, driver, configuration))
+        raise
+    return _samples(rows, driver, configuration)
+
+
+Rows = list[tuple[int, tuple[float, ...], float, int, str]]
+"""seq, x, v, repeat and kind of each sample."""
+
+
+def _samples(rows: Rows, driver: HostedDriver, c: Configuration) -> Samples:
+    return Samples(np.array([item[0] for item in rows], dtype=np.int64),
+                   np.array([item[1] for item in rows], dtype=float),
+                   np.array([item[2] for item in rows], dtype=float),
+                   np.array([item[3] for item in rows], dtype=np.int64),
+                   tuple(item[4] for item in rows), driver.measured, c.loop.period)
+
+
+def _driven(configuration: Configuration, experiment: Experiment, driver: HostedDriver,
+            limiter: CommandLimiter, wait: Callable[[int], int], stopped: Callable[[], str],
+            rows: Rows) -> None:
+    """Open the driver, run the experiment, close the driver whatever happens."""
+    driver.open()
+    try:
+        if experiment.limits.effort > driver.limit:     # known once it is open
+            raise DriverError(f'{driver.driver.name} takes |v| up to {driver.limit:g}, effort = '
+                              f'{experiment.limits.effort:g} is more')
+        driver.enable()
+        try:
+            _loop(configuration, experiment, driver, limiter, wait, stopped, rows)
+        finally:
+            last = rows[-1][0] if rows else 0
+            driver.disable(limiter.safe(last * configuration.loop.period),
+                           last * configuration.loop.period)
+    finally:
+        driver.close()
+
+
+def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver, limiter: CommandLimiter,
+          wait: Callable[[int], int], stopped: Callable[[], str], rows: Rows) -> None:
+    """Run it; whatever ends it, the last thing the driver is given is the safe command."""
+    nothing = (math.nan,) * c.plant.order
+    seq, over, stall = 0, 0, -math.inf
+    try:
+        while over < LAST:
+            due, seq = seq, wait(seq)
+            t = seq * c.loop.period
+            late = (seq - due) * c.loop.period
+            experiment.stalled(late)
+            if late >= STALL:
+                stall = t
+            driver.advance(t, seq)
+            reason = stopped()
+            if reason:
+                raise StoppedError(reason)
+            x = driver.measure(t)
+            fault = driver.fault()
+            if fault and t - stall <= AFTER:    # once for each stall
+                stall, x, fault = -math.inf, None, driver.recover()
+                experiment.stalled(STALL)
+                limiter.safe(t)
+            if fault:
+                raise DriverError(fault)
+            v: float | None = limiter.output    # without a measurement, as before
+            if over:
+                v = None
+            elif x is not None:
+                v = experiment.command(x)
+            over += v is None
+            given = limiter.safe(t) if v is None else limiter.apply(v, t)
+            given = driver.command(given, t)
+            rows.append((seq, nothing if x is None else x, given, experiment.repeat,
+                         experiment.kind))
+            seq += 1
+    finally:
+        driver.safe(limiter.safe(seq * c.loop.period), seq * c.loop.period)

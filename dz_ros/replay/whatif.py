@@ -1,0 +1,250 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What-if: a recorded closed loop again, offline, with some keys of its configuration changed.
+
+Initial plant state, initial estimates, reference, seed and length are those of the run; so with
+nothing changed an offline or lockstep run comes out bit for bit. That needs a model of the plant:
+the one that was simulated, one given by its parameters, or one fitted to the log (`fit`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from dz_ros.core import schema
+from dz_ros.core.configuration import allow_named, Configuration
+from dz_ros.core.dataset import from_run, RunData
+from dz_ros.core.loop.offline import Run
+from dz_ros.core.plants import PLANTS
+from dz_ros.errors import ConfigurationError, RecordingError
+from dz_ros.identification.estimation.least_squares import ZONE as ESTIMATED_ZONE
+from dz_ros.identification.estimation.physical_parameters import parameters_with
+from dz_ros.identification.estimation.pipeline import fit_log
+from dz_ros.identification.estimation.prediction_error import Fit
+from dz_ros.identification.proposal import zone_keys
+from dz_ros.replay.recorded_trajectory import RecordedTrajectory
+from dz_ros.runs.history import known_keys, RunHistory
+from dz_ros.runs.sequence import readable
+from dz_ros.runs.setting import state_columns
+
+PULSE = 'plant.disturbance_pulse'
+SIMULATED = 'simulated'
+ZONE = ('m_r', 'm_l', 'b_r', 'b_l')
+"""Parameters of the dead-zone a plant model needs."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A what-if, ready to be simulated.
+
+    Attributes:
+        configuration: What to run.
+        memory: The law's memory before the first sample; None = its initial one.
+        notes: What a reader of the answer must know.
+        fit: The plant's estimates, where it was fitted.
+        as_recorded: Whether the reference is the recorded one, sample by sample.
+    """
+
+    configuration: Configuration
+    memory: tuple[float, ...] | None
+    notes: tuple[str, ...]
+    fit: Fit | None = None
+    as_recorded: bool = False
+
+
+def is_simulated(run: RunData) -> bool:
+    """Return whether the plant of a run was a simulated one, whose parameters the run states."""
+    truth = run.channels.get('truth')
+    return ((truth is not None and len(truth) > 0) or run.info.get('mode') == 'offline'
+            or bool(RunHistory.of(run).statements('plant')))
+
+
+def base_configuration(run: RunData) -> dict[str, Any]:
+    """Return the dotted keys a run began with: each node's own, the first time it stated them.
+
+    A disturbance pulse names its own instant, so the only one of a run holds whenever it was set.
+    """
+    history = RunHistory.of(run)
+    flat, pulses = history.began, _pulses(history)
+    if len(pulses) == 1:
+        flat[PULSE] = list(pulses[0])
+    return flat
+
+
+def _pulses(history: RunHistory) -> list[tuple[float, ...]]:
+    """Return the different pulses that a run's plant was given, in order."""
+    stated = [item.event.configuration.get(PULSE) for item in history.statements('plant')]
+    return list(dict.fromkeys(tuple(pulse) for pulse in stated
+                              if isinstance(pulse, list) and len(pulse) == 3 and pulse[1] != 0.0
+                              and all(isinstance(item, (int, float)) for item in pulse)))
+
+
+def _plant_changes(history: RunHistory) -> list[str]:
+    """Return the keys of the simulated plant that changed while the run went on."""
+    stated = [known_keys(item.event.configuration) for item in history.statements('plant')]
+    return sorted({key for before, after in pairwise(stated) for key, value in after.items()
+                   if key.startswith('plant.') and key != PULSE and before.get(key) != value})
+
+
+def plan(run: RunData, overrides: Mapping[str, Any], *, given: Mapping[str, Any] | None = None,
+         fit: bool = False) -> Plan:
+    """Return what to simulate.
+
+    Args:
+        run: The recorded run.
+        overrides: Dotted key → value: what is changed.
+        given: Dotted keys of what ran, for logs without it; overrules the log.
+        fit: Estimate plant and dead-zone from the log.
+
+    Raises:
+        ConfigurationError: No plant model, and which parameters it lacks; a value not allowed.
+        RecordingError: The log has no states, or no configuration.
+    """
+    simulated = is_simulated(run)
+    flat = {**base_configuration(run), **(given or {})}
+    state = run.channels.get('state')
+    if state is None or not len(state):
+        raise RecordingError('there are no states in the log')
+    if not any(key.startswith('controller.') for key in flat):
+        raise RecordingError('the log does not state which law and gains were used: give them by '
+                             '--config FILE')
+    if not simulated and not any(key.startswith('plant.') for key in given or {}):
+        flat = _structure(RunHistory.of(run), flat, overrides, fit)
+    if not any(key.startswith('loop.') for key in flat):
+        flat['loop.rate'] = round(1.0 / float(np.median(np.diff(state['stamp']))), 6)
+    allow_named(overrides)
+    typed = {key: value for key, value in flat.items() if key in (given or {})
+             or (key in overrides and overrides[key] == value)}
+    # The simulated driver decides what is measured; a real one is not here.
+    driven = {**flat, **typed}.get('driver.name', SIMULATED) == SIMULATED
+    base = Configuration.from_untrusted(flat, typed, driven)
+    notes: list[str] = []
+    rows = np.flatnonzero(readable(state['seq']))
+    if not len(rows):
+        raise RecordingError('no state of the log has a seq that is a count')
+    begin, end = float(state['stamp'][rows[0]]), float(np.nanmax(state['stamp'][rows]))
+    if not simulated and 'plant.x0' not in overrides:
+        x = state.values[rows[0]][state_columns(state.labels)]
+        base = base.replace(**{'plant.x0': x.tolist()})
+        notes.append('it starts from the first measured state')
+    if not simulated or round(end * base.loop.rate) != base.loop.samples:
+        origin = 0.0 if simulated else begin
+        base = base.replace(**{'loop.duration': (end - origin) or base.loop.period})
+    found = None
+    if fit:
+        found = fit_log(run, base)
+        base = base.replace(**fitted_keys(found, base))
+    chosen = base.replace(**overrides)
+    chosen.require_one()
+    notes += _notes(run, chosen, overrides)
+    moved = any(key.startswith('trajectory.') for key in overrides)
+    as_recorded = not moved and (not any(key.startswith('trajectory.') for key in flat)
+                                 or (not simulated and begin > 0.5 * base.loop.period))
+    if as_recorded:
+        chosen = replace(chosen, trajectory=RecordedTrajectory.of(
+            run, chosen, 0.0 if simulated else begin))
+        notes.append('the reference is the recorded one, sample by sample')
+    return Plan(chosen, _memory(run, base, chosen), tuple(notes), found, as_recorded)
+
+
+def fitted_keys(fit: Fit, c: Configuration) -> dict[str, Any]:
+    """Return the configuration keys of a fitted plant: its parameters and the dead-zone's.
+
+    Raises:
+        ConfigurationError: No allowed parameters of the model give the estimates.
+    """
+    return {**parameters_with(c.plant, fit.a),
+            **zone_keys([fit[name].value for name in ESTIMATED_ZONE], c.plant.b)}
+
+
+def answer(plan: Plan, run: Run, name: str, start_ns: int) -> RunData:
+    """Return a simulated what-if as a run to be recorded.
+
+    Args:
+        plan: What was simulated.
+        run: The result.
+        name: Name of the recorded run.
+        start_ns: Log time of its first sample [ns since the epoch].
+    """
+    data = from_run(run, start_ns)
+    flat = {key: value for key, value in data.configuration.items()
+            if not (plan.as_recorded and key.startswith('trajectory.'))}
+    return replace(data, configuration=flat, info={**data.info, 'what_if_of': name})
+
+
+def _structure(history: RunHistory, flat: dict[str, Any], overrides: Mapping[str, Any],
+               fit: bool) -> dict[str, Any]:
+    """Return the keys with the plant's structure that the controller used."""
+    stated = history.statements('controller')
+    used = known_keys(stated[0].event.configuration) if stated else {}
+    flat = {**{key: value for key, value in used.items()
+               if key.startswith(('plant.', 'loop.'))}, **flat}
+    flat = {key: value for key, value in flat.items()
+            if not key.startswith(('plant.x0', 'plant.dead_zone.', 'plant.noise'))}
+    model = overrides.get('plant.model', flat.get('plant.model'))
+    what = 'this log is not of a simulated plant, so a model of the plant is needed'
+    if model is None:
+        raise ConfigurationError('plant.model', '', f'{what}: choose one by --set plant.model=…, '
+                                 f'known: {", ".join(PLANTS.builtin)}')
+    if 'plant.model' not in overrides:
+        PLANTS.check_untrusted(model)
+    flat['plant.model'] = model
+    needed = [f'plant.{item.name}' for item in schema.fields(PLANTS.load(model).Parameters)]
+    needed += [f'plant.dead_zone.{name}' for name in ZONE]
+    lacking = [key for key in needed if key not in overrides]
+    if lacking and not fit:
+        raise ConfigurationError('plant.model', model, f'{what}; it lacks {", ".join(lacking)}: '
+                                 'give them by --set KEY=VALUE, or --fit estimates them')
+    own = {key: value for key, value in overrides.items() if key in needed}
+    names = {key.partition('.')[2] for key in needed}
+    return {**{key: value for key, value in flat.items() if not key.startswith('plant.')
+               or key.partition('.')[2] in names or key in ('plant.model', 'plant.substeps')},
+            **own}
+
+
+def _memory(run: RunData, base: Configuration,
+            chosen: Configuration) -> tuple[float, ...] | None:
+    """Return the memory the recorded law began with, if it is the chosen law's as well."""
+    if (type(chosen.law) is not type(base.law)
+            or chosen.law.initial_memory() != base.law.initial_memory()):
+        return None
+    memory = next((item.event.memory for item in RunHistory.of(run).statements('controller')
+                   if item.event.seq == 0), None)
+    terms = run.channels.get('terms')
+    if memory is None and terms is not None and len(terms) and not is_simulated(run):
+        signals = terms.table(base.law.signal_names)[0]
+        memory = tuple(map(float, base.law.memory_from_signals(signals.tolist())))
+    if memory is not None and len(memory) != len(base.law.initial_memory()):
+        return None
+    return memory
+
+
+def _notes(run: RunData, chosen: Configuration, overrides: Mapping[str, Any]) -> list[str]:
+    """Return what the answer leaves out."""
+    notes, history = [], RunHistory.of(run)
+    changes = [item.event.seq for item in history.statements('controller') if item.event.seq > 0]
+    if changes:
+        notes.append('the gain changes of the recorded run are not repeated: seq '
+                     + ', '.join(map(str, changes)))
+    moved = _plant_changes(history)
+    if moved:
+        notes.append('the changes of the plant in the recorded run are not repeated: '
+                     + ', '.join(moved))
+    pulses = len(_pulses(history))
+    if pulses > 1:
+        notes.append(f'of {pulses} pulses in the recorded run none that was given while it went '
+                     'on is repeated')
+    trip = run.channels['state']['round_trip']
+    trip = trip[trip > 0.0]
+    if len(trip):
+        notes.append(f'in the recorded run a command acted {float(np.median(trip)) * 1e3:.2g} ms '
+                     'after its state (median); here it acts at once, and loop.delay = '
+                     f'{chosen.loop.delay} whole sample(s) later')
+    notes += [f'{key} is set aside: {chosen.plant.name}, {chosen.law.name} and '
+              f'{chosen.trajectory_settings.kind} do not use it'
+              for key in chosen.set_aside if key in overrides]
+    return notes

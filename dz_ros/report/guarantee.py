@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the theorem promises of a run, and what of this run lies outside it.
+
+For the law (14)–(16) of [wang2004] in continuous time, with (A1)–(A8) and (18), x̃ converges to
+
+    Ω_ε: |x̃_i| ≤ 2^(i−1) λ^(i−n) ε,      i = 1 … n
+
+A disturbance δ of x^(n) is covered as far as k* leaves room beside the dead-zone *(ours)*:
+
+    k* ≥ (ρ + δ_max/b_min)/m_min
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.deadzone import rho
+from dz_ros.core.design.assumptions import check_dead_zone, same_slope
+from dz_ros.core.design.finding import INFO
+from dz_ros.core.design.rules import least_robust_gain
+from dz_ros.core.safety.health import CHATTER, variation_share
+from dz_ros.core.tracking import guaranteed_bounds
+from dz_ros.report.view import View
+from dz_ros.runs.metrics import choose_window
+
+PROVEN = frozenset({'wang2004'})
+"""Laws whose convergence to Ω_ε is the paper's theorem."""
+
+
+@dataclass(frozen=True)
+class Guarantee:
+    """What the theorem promises of a run.
+
+    Attributes:
+        statement: One sentence: whether the theorem applies to this run.
+        bounds: Ω_ε in the units of the states, shape (n,); None where there is none.
+        broken: Assumptions of the theorem that this run does not meet.
+        beyond: What this run has that the theorem leaves out.
+    """
+
+    statement: str
+    bounds: tuple[float, ...] | None
+    broken: tuple[str, ...]
+    beyond: tuple[str, ...]
+
+
+def guarantee(view: View) -> Guarantee:
+    """Return what the theorem promises of a run; chatter is judged for any law with a layer."""
+    found = _promised(view)
+    return replace(found, beyond=(*found.beyond, *_chatter(view))) if view.has_layer else found
+
+
+def _chatter(view: View) -> tuple[str, ...]:
+    """Return a sentence where v varies far more than the reference needs, in windows of 1 s."""
+    rows, worst, at = view.rows, 0.0, 0.0
+    names = ('v_feed_forward', 'v_regressor')
+    if not all(name in rows.terms for name in names) or len(rows.t) < 2:
+        return ()
+    smooth = rows.terms[names[0]] + rows.terms[names[1]]
+    begin, _ = choose_window(rows.t)
+    for start in np.arange(begin, rows.t[-1] - 0.5, 1.0):
+        inside = (rows.t >= start) & (rows.t < start + 1.0)
+        v, needed = rows.v[inside], smooth[inside]
+        known = np.isfinite(v) & np.isfinite(needed)
+        if known.sum() < 2:
+            continue
+        with np.errstate(over='ignore', invalid='ignore'):
+            share = variation_share(float(np.abs(np.diff(v[known])).sum()),
+                                    float(np.abs(np.diff(needed[known])).sum()),
+                                    float(np.abs(v[known]).max()))
+        if share > worst:
+            worst, at = share, float(start)
+    if worst <= CHATTER:
+        return ()
+    return (f'Chatter inside the layer, or noise passed on: in the second from {at:.4g} s on v '
+            f'varies {worst:.1f} times as much as the reference needs; a smaller K is calmer.',)
+
+
+def _promised(view: View) -> Guarantee:
+    """Return what the theorem promises."""
+    setting, c = view.setting, view.setting.configuration
+    if not setting.law and setting.epsilon is None:
+        return Guarantee('Nothing is known of the law of this run, so nothing is promised.',
+                         None, (), ())
+    if not view.has_layer or setting.lambda_ is None:
+        return Guarantee(f'The law {setting.law} has no boundary layer; no bound of its error is '
+                         'promised.', None, (), ())
+    bounds = guaranteed_bounds(setting.lambda_, float(np.nanmax(view.epsilon)), setting.order)
+    if setting.law not in PROVEN:
+        return Guarantee(f"Ω_ε is the set of the paper's theorem, which is not about the law "
+                         f'{setting.law or "of this run"}: for comparison only.', bounds, (), ())
+    if c is None:
+        return Guarantee('Ω_ε follows from λ and ε; without the configuration the assumptions '
+                         'of the theorem cannot be checked.', bounds, (), ())
+    broken = _broken(c, setting.simulated)
+    statement = ('The theorem promises, in continuous time, that the errors end up within Ω_ε and '
+                 'all signals stay bounded.') if not broken else (
+        'An assumption of the theorem does not hold, so it promises nothing here; Ω_ε is for '
+        'comparison only.')
+    return Guarantee(statement, bounds, broken, _beyond(view, c))
+
+
+def _broken(c: Configuration, simulated: bool) -> tuple[str, ...]:
+    """Return what of (18) and, of a simulated dead-zone, of (A1)–(A4) does not hold."""
+    k_star, needed = _robust_gains(c)
+    found = [] if k_star >= needed else [
+        f'(18): k* = {k_star:g} is smaller than ρ/m_min = {needed:.4g}.']
+    if simulated:
+        found += [f'{item.rule}: {item.words}.' for item in check_dead_zone(c)
+                  if item.level != INFO]
+        if not same_slope(c.dead_zone.m_r, c.dead_zone.m_l):
+            found.append(f'(A2): the slopes differ, m_r = {c.dead_zone.m_r:g}, m_l = '
+                         f'{c.dead_zone.m_l:g}.')
+        if any(len(set(c.dead_zone.extent(name, c.loop.schedule))) > 1
+               for name in ('m_r', 'm_l')) or c.dead_zone.edge_slope != 1.0:
+            found.append('The slope of the dead-zone drifts, follows another variable or changes '
+                         'with v; the theorem takes a constant one.')
+    return tuple(found)
+
+
+def _robust_gains(c: Configuration) -> tuple[float, float]:
+    """Return (k*, ρ/m_min) of (18)."""
+    s = c.controller_settings
+    bound = rho(s.b_r_bounds[1], s.b_l_bounds[0], s.m_bounds[1])
+    return (float(getattr(c.law.gains, 'k_star', 0.0)),
+            least_robust_gain(bound, s.m_bounds[0]))
+
+
+def _beyond(view: View, c: Configuration) -> tuple[str, ...]:
+    """Return what the theorem does not cover and this run has."""
+    found = [f'Sampling: the law runs every {1e3 * c.loop.period:g} ms, not continuously.']
+    if any(len(set(c.dead_zone.extent(name, c.loop.schedule))) > 1 for name in ('b_r', 'b_l')):
+        found.append('b_r or b_l drifts: with a constant slope and within the bounds the theorem '
+                     'covers that, ρ bounds d(v) all the same.')
+    if c.loop.delay:
+        found.append(f'Loop delay: {c.loop.delay} whole sample(s).')
+    if view.setting.mode == 'realtime':
+        found.append('Transport: commands arrive when they do; see the timing.')
+    if any(c.noise):
+        found.append('Measurement noise of standard deviation '
+                     f'{", ".join(f"{value:g}" for value in c.noise)}; it is part of the measured '
+                     'error.')
+    if c.plant_settings.command_limit:
+        found.append(f'The actuator clips |v| to {c.plant_settings.command_limit:g}.')
+    disturbance = view.rows.truth.get('disturbance')
+    if disturbance is not None and np.nan_to_num(disturbance).any():
+        k_star, needed = _robust_gains(c)
+        s = c.controller_settings
+        room = (k_star - needed) * s.m_bounds[0] * s.b_bounds[0]
+        largest = float(np.nanmax(np.abs(disturbance)))
+        word = 'covers' if largest <= room * (1.0 + 1e-9) else 'does not cover'
+        found.append(f'A disturbance of up to {largest:.4g}, which the controller does not '
+                     f'model; k* leaves room for {room:.4g}, which {word} it.')
+    return tuple(found)

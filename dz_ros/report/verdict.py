@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Verdict on a run: faults, losses, lateness, the guarantee, the recording (ours).
+
+A run fails where it ended in a latched fault or samples were lost. A planned end, an interrupt, an
+e-stop and a fault that was reset are facts, not failures.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dz_ros.core.events import (
+    FinishedEvent,
+    ModeEvent,
+    of_kind,
+    StoppedEvent,
+    typed,
+    UnmeasuredEvent,
+)
+from dz_ros.core.records import Status
+from dz_ros.core.statistics import LATE
+from dz_ros.report import page
+from dz_ros.report.guarantee import guarantee
+from dz_ros.report.view import View
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a run went.
+
+    Attributes:
+        failures: Why the run failed, a line each; empty = it did not.
+        facts: What else a reader must know, a line each.
+    """
+
+    failures: tuple[str, ...]
+    facts: tuple[str, ...]
+
+    @property
+    def headline(self) -> str:
+        """The verdict in one line."""
+        return f'FAILED: {"; ".join(self.failures)}' if self.failures else 'no failure'
+
+    def lines(self) -> list[str]:
+        """Return the verdict as lines for a terminal."""
+        return [f'verdict: {self.headline}', *(f'  {fact}' for fact in self.facts)]
+
+    def html(self) -> str:
+        """Return the verdict as the top of a page, a banner where the run failed."""
+        return (page.paragraph(f'Verdict: {self.headline}.', 'fault' if self.failures else 'note')
+                + page.bullets(self.facts))
+
+
+def judge(view: View) -> Verdict:
+    """Return the verdict on a run."""
+    unmeasured = _unmeasured(view)
+    missing = {name: topic.sequence.missing for name, topic in view.timing.topics.items()}
+    for name in {'state', 'reference'} & missing.keys():
+        missing[name] -= unmeasured     # never to be published, nor was what a state asks for
+    lost = {name: count for name, count in missing.items() if count > 0}
+    failures = [f'{node} ended in a latched fault at {time:.3f} s: {reason}'
+                for node, time, reason in latched_faults(view)]
+    if lost:
+        failures.append('samples lost: ' + ', '.join(f'{count} of {name}'
+                                                     for name, count in lost.items()))
+    return Verdict(tuple(failures), tuple(filter(None, (
+        _end(view), _modes(view),
+        f'{unmeasured} samples without a measurement' if unmeasured else '',
+        _samples(view, bool(lost)), _inactive(view), _guaranteed(view)))))
+
+
+def latched_faults(view: View) -> list[tuple[str, float, str]]:
+    """Return (node, loop time [s], reason) of the faults in which nodes of a run ended."""
+    last = {event.node: (time, event) for time, event in of_kind(view.run.events, ModeEvent)}
+    return [(node, _stamp(view, time), event.reason) for node, (time, event) in last.items()
+            if event.mode == 'fault']
+
+
+def _stamp(view: View, time: int) -> float:
+    """Return the loop time of an instant of the log [s]."""
+    state = view.run.channels.get('state')
+    if state is None or not len(state):
+        return 0.0
+    return float(np.interp(time, state.log_time, state['stamp']))
+
+
+def _end(view: View) -> str:
+    """Return how the run ended and whether the recording is complete."""
+    if view.setting.mode == 'offline':
+        return ''
+    kinds = {type(event) for _, event in typed(view.run.events)}
+    end = ('planned end' if FinishedEvent in kinds else 'stopped by deactivation'
+           if StoppedEvent in kinds else 'no orderly end')
+    cut = view.run.info.get('cut')
+    return f'{end}; recording {f"cut off: {cut}" if cut else "complete"}'
+
+
+def _unmeasured(view: View) -> int:
+    """Return the number of samples for which the device had no measurement."""
+    return sum(event.samples for _, event in of_kind(view.run.events, UnmeasuredEvent))
+
+
+def _modes(view: View) -> str:
+    """Return e-stops, and faults that did not last."""
+    events = [event for _, event in of_kind(view.run.events, ModeEvent)]
+    faults = sum(event.mode == 'fault' for event in events) - len(latched_faults(view))
+    estops = sum(event.mode == 'estop' for event in events)
+    found = [text for text in (faults and f'faults that were reset: {faults}',
+                               estops and f'e-stops, both ends counted: {estops}') if text]
+    return '; '.join(found)
+
+
+def _samples(view: View, lost: bool) -> str:
+    """Return samples, late and skipped ones."""
+    rows, period = view.rows, view.setting.period
+    found = [f'{len(rows.seq)} samples', *(() if lost else ('none lost',))]
+    state = view.timing.topics.get('state')
+    if state is not None and state.late is not None:
+        found.append(f'{state.late} more than {1e3 * LATE:g} ms late')
+    if period is not None and view.setting.mode == 'realtime':
+        steps = np.rint(np.diff(rows.t) / period) - np.diff(rows.seq)
+        found.append(f'{int(steps[steps > 0].sum())} skipped')
+    return ', '.join(found)
+
+
+def _inactive(view: View) -> str:
+    """Return the number of samples in which the law was not active."""
+    status = view.rows.terms.get('status')
+    if status is None:
+        return ''
+    known = np.where(np.isfinite(status) & (status >= 0.0), status, 0.0).astype(np.int64)
+    count = int(np.count_nonzero(known & Status.INACTIVE))
+    return (f'the law was inactive in {count} samples, which count for no share and no s/ε'
+            if count else '')
+
+
+def _guaranteed(view: View) -> str:
+    """Return where the errors stayed, and whether that is promised."""
+    found, share = guarantee(view), view.metrics.omega_share
+    if found.bounds is None or share is None:
+        return found.statement
+    begin, end = view.metrics.window
+    return (f'within Ω_ε in {100.0 * share:.4g} % of {begin:g} to {end:g} s. '
+            f'{"" if not found.broken else found.broken[0] + " "}{found.statement}')

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Signals that end a program, as text that a loop polls, instead of an exception anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+import signal
+from types import FrameType
+from typing import Any
+
+ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that end a program in order; the last one is a terminal that was closed."""
+
+
+def on_ends(handler: Callable[[int, FrameType | None], None]) -> dict[int, Any]:
+    """Have a handler called for each of `ENDS`; return the earlier handlers.
+
+    A SIGHUP that is ignored, as `nohup` arranges, stays so.
+    """
+    return {number: signal.signal(number, handler) for number in ENDS
+            if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN}
+
+
+def ignore_ends() -> None:
+    """Ignore `ENDS` from now on, in a program whose work is done.
+
+    While it ends, the interpreter gives Python's handlers back to the system, and a signal that
+    comes then, such as a second Ctrl-C, would kill an orderly end half a second before its exit
+    code. A signal that is ignored stays ignored.
+    """
+    for number in ENDS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+class Stopping:
+    """A reason to stop, '' = go on; the first reason stays."""
+
+    reason = ''
+
+    def stop(self, reason: str) -> None:
+        """Give a reason to stop."""
+        self.reason = self.reason or reason
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[Stopping]:
+    """Yield the reason that SIGINT or SIGTERM gives; a second one raises KeyboardInterrupt."""
+    stopping = Stopping()
+
+    def handle(number: int, _frame: FrameType | None) -> None:
+        if stopping.reason:
+            raise KeyboardInterrupt
+        stopping.stop(signal.Signals(number).name)
+
+    earlier = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stopping
+    finally:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)

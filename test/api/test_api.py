@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The Python API as a script uses it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dz_ros as dz
+from dz_ros.core.loop.offline import simulate
+from dz_ros.core.plants.base import Plant
+from dz_ros.core.plants.servo import Servo
+from dz_ros.core.schema import parameter
+from dz_ros.errors import ConfigurationError, RunExistsError, UnknownNameError
+from dz_ros.files.configurations import find_configuration, load_configuration
+
+SHORT = {'loop.duration': 2.0}
+
+
+@dataclass(frozen=True)
+class MassParameters:
+    """Parameters of the mass."""
+
+    b: float = parameter(2.0, 'm/s² per N', 'input gain', minimum=0.0, open_minimum=True)
+
+
+class Mass(Plant):
+    """A mass with drag, of a script."""
+
+    name = 'mass_of_a_script'
+    summary = 'a mass'
+    order = 2
+    regressor_count = 1
+    state_units = ('m', 'm/s')
+    actuator_unit = 'N'
+    default_x0 = (0.0, 0.0)
+    Parameters = MassParameters
+    a = (0.5,)
+
+    @property
+    def b(self) -> float:
+        """Return the input gain."""
+        return float(self.parameters.b)
+
+    @staticmethod
+    def regressors(x: Sequence[float], p: Sequence[float], y: Any) -> None:
+        """Write the velocity."""
+        y[0] = x[1]
+
+
+def test_importing_loads_neither_numpy_nor_ros_and_every_name_is_there():
+    code = ('import sys, dz_ros; assert not {"numpy", "rclpy"} & set(sys.modules); '
+            'assert set(dz_ros.__all__) <= set(dir(dz_ros)); '
+            'assert all(getattr(dz_ros, name).__doc__ for name in dz_ros.__all__)')
+    subprocess.run([sys.executable, '-c', code], check=True, timeout=120)
+    with pytest.raises(AttributeError, match='no attribute'):
+        dz.nothing
+
+
+def test_a_configuration_by_name_file_mapping_and_itself_is_the_same():
+    wanted = load_configuration('wang2004', ['controller.lambda=2']).to_flat()
+    file = find_configuration('wang2004')
+    for source in ('wang2004', file, str(file), dz.load('wang2004')):
+        assert dz.load(source, {'controller.lambda': 2}).to_flat() == wanted
+        assert dz.load(source, **{'controller.lambda': 2}).to_flat() == wanted
+    assert dz.load({'controller': {'lambda': 2}, 'loop.rate': 100}).loop.rate == 100.0
+    assert dz.load().to_flat() == dz.load({}).to_flat()
+
+
+@pytest.mark.parametrize(('source', 'keys', 'words'), [
+    ('no_such_name', {}, 'no such file'),
+    ('wang2004', {'controller.lamda': 2}, 'did you mean controller.lambda'),
+    ('wang2004', {'controller.lambda': -1.0}, 'controller.lambda'),
+    ('wang2004', {'plant.model': dict}, 'is not a Plant'),
+])
+def test_what_cannot_be_loaded_is_named(source, keys, words):
+    with pytest.raises(ConfigurationError, match=words):
+        dz.load(source, keys)
+
+
+def test_a_simulation_is_the_loop_bit_for_bit_compiled_or_not():
+    pytest.importorskip('numba')
+    run = dz.simulate('wang2004', SHORT)
+    plain = simulate(dz.load('wang2004', SHORT))
+    assert np.array_equal(run.x, plain.x_measured)
+    assert np.array_equal(run.v, plain.v)
+    assert np.array_equal(dz.simulate('wang2004', SHORT, compiled=True).v, run.v)
+    assert len(run) == len(plain.t)
+    assert np.array_equal(run.error, run.x - run.x_d[:, :2])
+
+
+def test_a_run_says_what_it_is():
+    run = dz.simulate('servo', SHORT)
+    assert repr(run).startswith('<Run ')
+    assert 'servo' in repr(run)
+    assert 'rad' in repr(run)
+    assert run.units['x1'] == 'rad/s'
+    assert run.units['v'] == 'A'
+    assert run.units['t'] == 's'
+    assert set(run.units) == set(run.columns)
+    assert run.configuration.plant.name == 'servo'
+    assert run.metrics.error_max == pytest.approx(np.abs(run.error[run.t >= 1.0, 0]).max())
+
+
+def test_tables_for_pandas():
+    pandas = pytest.importorskip('pandas')
+    runs = [dz.simulate('wang2004', SHORT | {'controller.lambda': value}) for value in (1, 2)]
+    frame = runs[0].to_pandas()
+    assert frame.index.name == 't'
+    assert np.array_equal(frame['v'], runs[0].v)
+    assert frame.attrs['units']['t'] == 's'
+    table = dz.compare(*runs, names=('one', 'two')).to_pandas()
+    assert list(table.index) == ['one', 'two']
+    assert isinstance(table, pandas.DataFrame)
+
+
+def test_figures_by_name():
+    pytest.importorskip('matplotlib')
+    run = dz.simulate('wang2004', SHORT)
+    assert {'tracking', 'error', 'command'} <= set(run.plot())
+    assert run.plot('tracking').axes
+    assert set(run.plot('tracking', 'error')) == {'tracking', 'error'}
+    with pytest.raises(ConfigurationError, match='must be one of tracking'):
+        run.plot('nothing')
+
+
+def test_a_run_is_saved_read_and_never_overwritten(tmp_path: Path):
+    run = dz.simulate('wang2004', SHORT)
+    again = dz.read(run.save(tmp_path / 'run'))
+    assert again.name == 'run'
+    assert np.array_equal(again.v, run.v)
+    assert again.metrics == run.metrics
+    with pytest.raises(RunExistsError):
+        run.save(tmp_path / 'run')
+
+
+def test_a_comparison_names_what_differs():
+    runs = [dz.simulate('wang2004', SHORT | {'controller.lambda': value}) for value in (1, 2)]
+    found = dz.compare(*runs)
+    assert found.differences == [['controller.lambda', '1.0', '2.0']]
+    assert 'run 1' in repr(found)
+    assert 'max |x̃|' in repr(found)
+    for wrong in ((runs[0],), ()):
+        with pytest.raises(ConfigurationError, match='at least two'):
+            dz.compare(*wrong)
+    with pytest.raises(ConfigurationError, match='2 different names'):
+        dz.compare(*runs, names=('one', 'one'))
+
+
+def test_the_rules_say_what_they_find():
+    assert dz.check('wang2004').worst == 'info'
+    found = dz.check('wang2004', {'controller.k_star': 0.1})
+    assert found.worst == 'error'
+    assert repr(found).splitlines()[-1].startswith('error')
+
+
+def test_a_sweep_is_rows():
+    rows = dz.sweep(dz.load('wang2004', SHORT), {'controller.lambda': [1, 2],
+                                                 'loop.delay': np.arange(2)}, jobs=1)
+    assert [(row['controller.lambda'], row['loop.delay']) for row in rows] == [
+        (1, 0), (1, 1), (2, 0), (2, 1)]
+    assert rows[0]['error_max'] == dz.simulate('wang2004', SHORT).metrics.error_max
+    rows = dz.sweep(dz.load('wang2004', SHORT), {'controller.lambda': (1.0, 2.0)}, samples=4,
+                    jobs=1)
+    assert len({row['controller.lambda'] for row in rows}) == 4
+    with pytest.raises(ConfigurationError, match='two ends'):
+        dz.sweep('wang2004', {'controller.lambda': (1, 2, 3)}, samples=4)
+
+
+def test_of_several_axes_a_key_without_axis_changes_all_and_one_is_chosen():
+    machine = dz.load({'loop.axes': ['a', 'b'], 'axes.b.controller.lambda': 2.0})
+    changed = dz.load(machine, {'controller.lambda': 4.0, 'axes.a.controller.lambda': 3.0})
+    assert [item.law.gains.lambda_ for item in changed.each] == [3.0, 4.0]
+    assert dz.load(machine).to_flat() == machine.to_flat()
+    for work in (lambda: dz.sweep(machine, {'controller.lambda': [1.0, 2.0]}, jobs=1),
+                 lambda: dz.simulate(machine), lambda: dz.check(machine)):
+        with pytest.raises(ConfigurationError, match='must be one axis'):
+            work()
+    assert dz.simulate(machine.axis('b'), SHORT).configuration.law.gains.lambda_ == 2.0
+
+
+def test_a_class_of_a_script_is_a_plant():
+    run = dz.simulate({'plant.model': Mass, 'controller.b_bounds': [1.5, 2.5]}, SHORT)
+    assert run.configuration.plant.name == Mass.name
+    assert run.metrics.error_max < 0.1
+    dz.load({'plant.model': Mass})      # once more
+    assert dz.load({'plant.model': Servo}).plant.name == 'servo'    # one of the package
+
+    with pytest.raises(UnknownNameError, match='another plant'):
+        dz.load({'plant.model': type('Other', (Mass,), {'name': 'servo'})})
+
+
+def test_plants_to_and_from_python_control():
+    control = pytest.importorskip('control')
+    system = control.nlsys(lambda t, x, u, p: [x[1], -0.5 * x[1] + 2.0 * u[0]], None, inputs=1,
+                           states=2, name='mass')
+    plant = dz.from_control(system, state_units=('m', 'm/s'), actuator_unit='N')
+    assert plant().b == pytest.approx(2.0)
+    assert plant.state_units == ('m', 'm/s')
+    keys = {'controller.b_bounds': [1.5, 2.5]} | SHORT
+    ours, theirs = (dz.simulate({'plant.model': item}, keys) for item in (Mass, plant))
+    assert theirs.metrics.error_max < 0.1
+    assert ours.t.shape == theirs.t.shape
+
+    configuration = dz.load('servo')
+    with_zone, bare = dz.to_control(configuration), dz.to_control(configuration.plant)
+    x = np.array([0.3, 0.0])
+    inside = 0.5 * configuration.dead_zone.b_r
+    assert np.array_equal(with_zone.dynamics(0.0, x, [inside]), bare.dynamics(0.0, x, [0.0]))
+    assert with_zone.dynamics(0.0, x, [inside])[1] != bare.dynamics(0.0, x, [inside])[1]
+
+
+@pytest.mark.parametrize(('rates', 'words'), [
+    (lambda x, u: [x[1] + u[0], u[0]], 'chain form'),
+    (lambda x, u: [x[1], u[0] ** 3], 'affine'),
+    (lambda x, u: [x[1], -u[0]], 'constant input gain'),
+    (lambda x, u: [x[1], (1.0 + x[0] ** 2) * u[0]], 'constant input gain'),
+])
+def test_systems_that_are_no_such_plant_are_refused(rates, words):
+    control = pytest.importorskip('control')
+    system = control.nlsys(lambda t, x, u, p: rates(x, u), None, inputs=1, states=2, name='s')
+    with pytest.raises(ConfigurationError, match=words):
+        dz.from_control(system)

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The verbs of `dz` with several axes: each of them, or the one of --axis."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from dz_ros.cli.main import main
+from dz_ros.core.loop.offline import simulate
+from dz_ros.files.configurations import load_configuration
+
+FILE = """
+loop: {axes: [surge, yaw], duration: 2.0}
+controller: {b_r_bounds: [0.1, 0.6], b_l_bounds: [-0.7, -0.1], m_bounds: [0.85, 1.25],
+             b_bounds: [1.0, 1.0]}
+axes:
+  yaw:
+    controller: {lambda: 2.0}
+    plant: {x0: [1.0, 0.0], dead_zone: {b_r: 0.3}}
+"""
+
+
+@pytest.fixture(scope='module')
+def config(tmp_path_factory):
+    path = tmp_path_factory.mktemp('axes') / 'two.yaml'
+    path.write_text(FILE, encoding='ascii')
+    return str(path)
+
+
+@pytest.fixture(scope='module')
+def recorded(config, tmp_path_factory):
+    path = tmp_path_factory.mktemp('runs') / 'two'
+    assert main(['simulate', config, '--record', str(path)]) == 0
+    return str(path)
+
+
+def test_simulate_writes_all_axes_beside_each_other(config, capsys, tmp_path):
+    out = tmp_path / 'samples.csv'
+    assert main(['simulate', config, '--csv', str(out)]) == 0
+    shown = capsys.readouterr().out
+    assert [line.split(':')[0] for line in shown.splitlines() if line.startswith('axis')] == [
+        'axis surge', 'axis yaw']
+    table = np.genfromtxt(out, delimiter=',', names=True, deletechars='')
+    for name in ('surge', 'yaw'):
+        alone = simulate(load_configuration(config).axis(name))
+        assert np.array_equal(table[f'{name}.v'], alone.v)
+        assert np.array_equal(table[f'{name}.x0'], alone.x[:, 0])
+    assert np.array_equal(table['k'], np.arange(401))
+
+
+def test_one_axis_alone_is_a_run_of_one(config, capsys, tmp_path):
+    out = tmp_path / 'alone'
+    assert main(['simulate', config, '--axis', 'yaw', '--record', str(out)]) == 0
+    capsys.readouterr()
+    assert main(['bag', 'info', str(out)]) == 0
+    assert 'axes:' not in capsys.readouterr().out
+
+
+def test_check_speaks_of_each_axis(config, capsys):
+    assert main(['check', config, '--quick', '--json']) in (0, 1)
+    found = json.loads(capsys.readouterr().out)
+    assert list(found['axes']) == ['surge', 'yaw']
+    assert main(['check', config, '--quick', '--axis', 'yaw', '--json']) in (0, 1)
+    assert json.loads(capsys.readouterr().out) == found['axes']['yaw']
+    bad = ['--set', 'axes.yaw.controller.k_star=0.01']
+    assert main(['check', config, '--quick', *bad]) == 1
+    text = capsys.readouterr().out
+    assert 'ERROR' not in text.partition('== axis yaw')[0]
+    assert 'ERROR' in text.partition('== axis yaw')[2]
+
+
+def test_tune_writes_what_it_proposes_for_each_axis(config, capsys, tmp_path, monkeypatch):
+    class Proposal:
+        """What `tune` returns, of a gain that depends on the axis."""
+
+        def __init__(self, before):
+            value = 3.0 * before.law.gains.lambda_
+            self.before, self.after = before, before.replace(**{'controller.lambda': value})
+            self.reasons, self.rows = {'controller.lambda': 'three times'}, {}
+
+    monkeypatch.setattr('dz_ros.cli.tune.tune', lambda c, *_: Proposal(c))
+    out = tmp_path / 'tuned.yaml'
+    assert main(['tune', config, '--out', str(out)]) == 0
+    assert capsys.readouterr().out.count('three times') == 2
+    tuned = load_configuration(out)
+    assert [item.law.gains.lambda_ for item in tuned.each] == [3.0, 6.0]
+    assert tuned.axis('yaw').dead_zone.b_r == 0.3
+
+
+def test_info_names_the_axes(recorded, capsys):
+    assert main(['bag', 'info', recorded]) == 0
+    assert 'axes: surge, yaw' in capsys.readouterr().out
+
+
+def test_audit_audits_each_axis_or_one(recorded, capsys):
+    assert main(['bag', 'audit', recorded]) == 0
+    assert capsys.readouterr().out.count('reproduced bit for bit') == 2
+    assert main(['bag', 'audit', recorded, '--json']) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert {name: item['checked'] for name, item in found['axes'].items()} == {
+        'surge': 401, 'yaw': 401}
+    assert main(['bag', 'audit', recorded, '--axis', 'yaw', '--json']) == 0
+    assert json.loads(capsys.readouterr().out) == found['axes']['yaw']
+    assert main(['bag', 'audit', recorded, '--axis', 'jaw']) == 2
+    assert 'must be one of surge, yaw' in capsys.readouterr().err
+
+
+def test_another_configuration_fails_the_audit_of_its_axis_alone(recorded, config, capsys):
+    given = ['--config', config, '--set', 'axes.yaw.controller.lambda=2.5']
+    assert main(['bag', 'audit', recorded, *given, '--json']) == 1
+    found = json.loads(capsys.readouterr().out)['axes']
+    assert found['surge']['differences'] == 0
+    assert found['yaw']['differences'] > 0
+
+
+def test_export_names_the_columns_of_each_axis(recorded, config, capsys, tmp_path):
+    out = tmp_path / 'table.csv'
+    assert main(['bag', 'export', recorded, '--out', str(out)]) == 0
+    assert 'yaw.x0' in capsys.readouterr().out
+    table = np.genfromtxt(out, delimiter=',', names=True, deletechars='')
+    alone = simulate(load_configuration(config).axis('yaw'))
+    assert np.array_equal(table['yaw.v'], alone.v)
+    assert 'surge.seq' not in table.dtype.names
+
+
+def test_compare_lays_the_axes_of_a_run_side_by_side(recorded, capsys):
+    assert main(['bag', 'compare', recorded, '--json']) == 0
+    assert list(json.loads(capsys.readouterr().out)) == ['surge', 'yaw']
+    assert main(['bag', 'compare', recorded, recorded, '--json']) == 2
+    assert 'choose one with --axis' in capsys.readouterr().err
+
+
+def test_a_report_has_a_summary_and_a_page_for_each_axis(recorded, capsys, tmp_path):
+    out = tmp_path / 'report'
+    assert main(['report', recorded, '--out', str(out)]) == 0
+    assert capsys.readouterr().out.count('verdict:') == 2
+    summary = (out / 'report.html').read_text(encoding='utf-8')
+    for name in ('surge', 'yaw'):
+        assert f'href="{name}/report.html"' in summary
+        page = (out / name / 'report.html').read_text(encoding='utf-8')
+        assert f'axis {name}' in page
+        assert (out / name / 'tracking.png').stat().st_size > 1000
+    assert 'controller.lambda' in summary       # in which they differ
+    assert '<img' in summary
+
+
+def test_whatif_and_other_verbs_of_one_axis_ask_for_it(recorded, config, capsys, tmp_path):
+    for words in (['bag', 'whatif', recorded, '--set', 'controller.lambda=3'],
+                  ['certify', config], ['report', recorded, '--serve']):
+        assert main(words) == 2, words
+        error = capsys.readouterr().err
+        assert 'axis' in error, words
+        assert error.count('\n') == 1
+    out = tmp_path / 'whatif'
+    assert main(['bag', 'whatif', recorded, '--axis', 'yaw', '--set', 'controller.lambda=3',
+                 '--out', str(out), '--record', str(tmp_path / 'made')]) == 0
+    capsys.readouterr()
+    assert main(['bag', 'audit', str(tmp_path / 'made')]) == 0
+    assert main(['bag', 'info', str(tmp_path / 'made')]) == 0
+    assert 'axes:' not in capsys.readouterr().out
+
+
+def test_what_does_not_go_with_the_axes_of_a_run_is_one_line(recorded, config, capsys, tmp_path):
+    one = str(tmp_path / 'one')
+    assert main(['simulate', '--duration', '0.1', '--record', one]) == 0
+    log = tmp_path / 'log.csv'
+    log.write_text('t,x\n0,0\n0.005,0\n', encoding='ascii')
+    convert = ['bag', 'import', str(log), '--out', str(tmp_path / 'run'), '--map', 'stamp=t,x0=x',
+               '--config', config]
+    capsys.readouterr()
+    for words, wanted in (
+            (['bag', 'whatif', one, '--set', 'loop.axes=[a,b]'], 'loop.axes'),
+            (['bag', 'whatif', recorded, '--axis', 'yaw', '--set', 'loop.axes=[a,b]'],
+             'loop.axes'),
+            (['bag', 'whatif', recorded, '--axis', 'yaw', '--set',
+              'axes.yaw.controller.lambda=3'], 'axes.yaw.controller.lambda = 3'),
+            (['bag', 'audit', one, '--config', config], 'is of axes surge, yaw, the run of one'),
+            (['bag', 'audit', recorded, '--config', 'two_link_arm'],
+             'is of axes shoulder, elbow, the run of surge, yaw'),
+            (['bag', 'audit', one, '--axis', 'yaw'], 'has one axis, without a name'),
+            (convert, 'choose it with --axis')):
+        assert main(words) == 2, words
+        error = capsys.readouterr().err
+        assert wanted in error, (words, error)
+        assert error.count('\n') == 1, error
+    assert main([*convert, '--axis', 'yaw']) == 0
+    capsys.readouterr()
+    assert main(['bag', 'info', str(tmp_path / 'run')]) == 0
+    assert 'axes:' not in capsys.readouterr().out

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Ctrl-C at any instant: one line, exit code 130, no traceback, no process left behind."""
+
+import os
+from pathlib import Path
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import dz_ros
+from dz_ros.cli.main import VERBS
+
+ROOT = str(Path(dz_ros.__file__).parents[1])
+TIME_OUT = 300.0
+"""A machine that is busy with other things is slow [s]."""
+LONG = {
+    'arena': ['arena', '--duration', '2000', '-j', '2'],
+    'sweep': ['sweep', 'wang2004', '--over', 'controller.lambda=1:10:2000', '--out', 'a.csv',
+              '-j', '2'],
+    'tune': ['tune', 'wang2004', '--duration', '5000'],
+    'simulate': ['simulate', 'wang2004', '--duration', '5000'],
+}
+
+
+def start(words, folder, imported='dz_ros.cli.main', **environment):
+    """Start dz; return the process once it has imported a module."""
+    printed = (folder / 'stderr.txt').open('w')      # a pipe that is not read would hold it up
+    process = subprocess.Popen(
+        [sys.executable, '-X', 'importtime', '-m', 'dz_ros', *words], cwd=folder,
+        stdout=subprocess.PIPE, stderr=printed, text=True, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),   # of a job in background
+        env={**os.environ, 'PYTHONPATH': ROOT, **environment})
+    wanted = re.compile(rf'^import time:.*\| *{re.escape(imported)}$', re.MULTILINE)
+    for _ in waiting(process, 0.001, f'{imported} was not imported'):
+        if wanted.search((folder / 'stderr.txt').read_text()):
+            return process
+
+
+def waiting(process, period, what):
+    """Yield once in a period [s] while a process runs; fail if it ends, or takes too long."""
+    deadline = time.monotonic() + TIME_OUT
+    while process.poll() is None:
+        yield
+        assert time.monotonic() < deadline, what
+        time.sleep(period)
+    raise AssertionError(f'{what}: exit code {process.returncode}')
+
+
+def interrupt(process, group, folder):
+    """Send Ctrl-C to the process, or as a terminal does to its group; return what it printed."""
+    (os.killpg if group else os.kill)(process.pid, signal.SIGINT)
+    out, _ = process.communicate(timeout=TIME_OUT)
+    err = (folder / 'stderr.txt').read_text()
+    return out, ''.join(line for line in err.splitlines(True)
+                        if not line.startswith('import time:'))
+
+
+def of_session(leader):
+    """Return the processes of a session that still run."""
+    found = []
+    for entry in Path('/proc').glob('[0-9]*'):
+        try:
+            fields = (entry / 'stat').read_text().rpartition(')')[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == leader and fields[0] != 'Z':
+            found.append(entry.name)
+    return found
+
+
+@pytest.mark.parametrize(('imported', 'delay', 'group'), [
+    ('argparse', 0.0, False), ('numpy', 0.0, True), ('dz_ros.core.laws', 0.5, True),
+    ('dz_ros.core.laws', 2.0, False)])
+@pytest.mark.parametrize('verb', LONG)
+def test_an_interrupt_is_one_line(verb, imported, delay, group, tmp_path):
+    process = start(LONG[verb], tmp_path, imported)
+    time.sleep(delay)       # the instant is the input of this test, not something waited for
+    assert process.poll() is None
+    out, err = interrupt(process, group, tmp_path)
+    assert process.returncode == 130, err
+    lines = [line for line in err.splitlines() if 'dz: interrupted' in line]
+    assert len(lines) == 1, err
+    assert err.splitlines()[-1] == lines[0]
+    assert 'Traceback' not in out + err
+    deadline = time.monotonic() + TIME_OUT
+    while left := of_session(process.pid):
+        assert time.monotonic() < deadline, left
+        time.sleep(0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('imported', 'delay'), [('argparse', 0.0), ('dz_ros.cli.main', 0.0),
+                                                 ('dz_ros.cli.main', 0.1)])
+@pytest.mark.parametrize('path', sorted(VERBS), ids=' '.join)
+def test_no_verb_shows_a_traceback_while_it_starts(path, imported, delay, ros_domain, tmp_path):
+    # Examples that name files which are not there end by themselves, with one line.
+    words = [] if path == ('completion',) else shlex.split(VERBS[path].example)
+    process = start([*path, *words], tmp_path, imported)
+    time.sleep(delay)
+    out, err = interrupt(process, True, tmp_path)
+    assert 'Traceback' not in out + err, err
+    if delay == 0.0:
+        assert process.returncode == 130, (out, err)
+        assert err.splitlines()[-1].startswith('dz: interrupted'), err
+    for _ in range(500):
+        if not of_session(process.pid):
+            break
+        time.sleep(0.02)
+    assert not of_session(process.pid)
+
+
+def test_a_sweep_names_what_is_kept(tmp_path):
+    process = start([*LONG['sweep'], '--duration', '5'], tmp_path, NUMBA_DISABLE_JIT='1')
+    sizes = set()       # of the file: its head, then a batch of rows each, counted before the next
+    for _ in waiting(process, 0.02, 'no rows'):
+        if (tmp_path / 'a.csv').exists():
+            sizes.add((tmp_path / 'a.csv').stat().st_size)
+        if len(sizes) > 4:
+            break
+    _, err = interrupt(process, True, tmp_path)
+    last = err.splitlines()[-1]
+    assert last.endswith('of 2000 runs are kept; the same command goes on'), err
+    assert not last.startswith('dz: interrupted: 0 of')

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs that contradict themselves: each contradiction is named, and nothing is made from them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dz_ros.core.dataset import Channel
+from dz_ros.core.dataset import from_run as recorded
+from dz_ros.core.loop.offline import simulate
+from dz_ros.drivers.simulated import SimulatedActuator
+from dz_ros.errors import RecordingError
+from dz_ros.files.configurations import load_configuration
+from dz_ros.identification.estimation.pipeline import fit_log, identify, identify_log
+from dz_ros.identification.samples import from_run, motion_speed
+
+X, V = 2, 3
+"""Columns of x and x' in the channel `state`."""
+TRUTH = (0.5, -0.6, 1.0, 1.0)
+
+
+@pytest.fixture(scope='module')
+def loop():
+    """Return the configuration of a servo on a sinusoid, and a run of it."""
+    c = load_configuration('servo', [
+        'plant.x0=[0.0, 0.0]', 'plant.noise=[0.0005,0.005]', 'trajectory.kind=sinusoid',
+        'loop.duration=30.0'])
+    return c, recorded(simulate(c), 10 ** 18)
+
+
+def changed(run, column, function, channel='state'):
+    """Return a run with one column of a channel changed."""
+    old = run.channels[channel]
+    values = old.values.copy()
+    values[:, column] = function(values[:, column])
+    return replace(run, channels={**run.channels, channel: replace(old, values=values)})
+
+
+def without(run, share, channel='state', burst=1):
+    """Return a run with a share of a channel's messages lost, so many in a row."""
+    old = run.channels[channel]
+    count = len(old)
+    keep = np.ones(count, dtype=bool)
+    begins = np.random.default_rng(0).permutation(count - burst)
+    for begin in begins[:round(share * count / burst)]:
+        keep[begin:begin + burst] = False
+    return replace(run, channels={**run.channels, channel: Channel(
+        old.labels, old.values[keep], old.log_time[keep], old.publish_time[keep])})
+
+
+def found(c, run):
+    return identify_log(run, c)[1]
+
+
+def test_a_run_that_agrees_with_itself_is_not_refused(loop):
+    c, run = loop
+    for good in (run, without(run, 0.01), changed(run, V, lambda v: np.round(v, 2)),
+                 changed(run, X, lambda x: np.round(x, 2)), changed(run, X, lambda x: x + 0.1)):
+        for item, truth in zip(found(c, good).bounds.values(), TRUTH, strict=True):
+            assert item.low <= truth <= item.high
+
+
+@pytest.mark.parametrize(('column', 'change', 'said'), [
+    (V, lambda v: v * np.nan, r'x1 \[rad/s\] is not a number in any sample; without a measurement '
+     r'of it set driver.measured to 1'),
+    (V, lambda v: v + np.inf, 'x1 .* is not a number in any sample'),
+    (X, lambda x: x * np.nan, r'x0 \[rad\] is not a number in any sample$'),
+    (V, lambda v: np.where(np.arange(len(v)) % 10, v, np.nan), 'not a number in 10%'),
+    (V, lambda v: v * 60.0 / (2.0 * np.pi), r'9.55 times as large \(rpm in place of rad/s'),
+    (V, np.degrees, r'57.3 times as large \(degrees in place of radians'),
+    (X, lambda x: 1000.0 * x, r'reverse of thousandths'),
+    (V, lambda v: 1.1 * v, '1.1 times as large'),
+    (V, lambda v: v + 0.2, r'x1 \[rad/s\] has an offset of 0.2 against the rate of x0'),
+    (V, lambda v: v - 0.05, 'an offset of -0.05'),
+    (V, np.round, 'x1 .* is rounded to steps of 1 '),
+    (V, lambda v: np.round(5.0 * v) / 5.0, 'x1 .* is rounded to steps of 0.2 '),
+    (V, lambda v: -v, 'x1 .* is not the rate of x0 .*: it has the other sign'),
+    (X, lambda x: -x, 'it has the other sign'),
+    (V, lambda v: -2.0 * v, '2 times as large with the other sign'),
+    (V, np.abs, 'x1 .* is not the rate of x0'),
+    (V, lambda v: np.roll(v, 20), 'it is (95|100) ms late'),
+    (V, lambda v: np.full(len(v), 0.3), 'x1 .* is 0.3 in every sample'),
+    (V, lambda v: np.random.default_rng(0).normal(size=len(v)), 'x1 .* is not the rate of x0'),
+    (X, lambda x: (x + 1.0) % 2.0 - 1.0, 'x1 .* is not the rate of x0'),
+], ids=lambda item: item if isinstance(item, str) else None)
+def test_states_that_contradict_each_other_are_named(loop, column, change, said):
+    c, run = loop
+    with pytest.raises(RecordingError, match=said) as caught:
+        found(c, changed(run, column, change))
+    assert '\n' not in str(caught.value)
+    with pytest.raises(RecordingError, match=said):
+        fit_log(changed(run, column, change), c)
+
+
+@pytest.mark.parametrize(('change', 'said'), [
+    (lambda v: -v, 'accelerates against the command'),
+    (lambda v: v * np.nan, 'the command is not a number in 100%'),
+    (lambda v: np.where(np.arange(len(v)) % 10, v, np.nan), 'the command is not a number in 10%'),
+    (lambda v: 0.0 * v, 'the command is 0 in every sample'),
+    (np.abs, 'the command has one sign only')], ids=['sign', 'nan', 'some nan', 'none', 'size'])
+def test_commands_that_contradict_the_motion_are_named(loop, change, said):
+    c, run = loop
+    with pytest.raises(RecordingError, match=said):
+        found(c, changed(run, 2, change, 'command'))
+
+
+@pytest.mark.parametrize(('share', 'burst'), [(0.05, 1), (0.2, 1), (0.1, 50)])
+def test_lost_messages_are_named(loop, share, burst):
+    c, run = loop
+    with pytest.raises(RecordingError, match=r'\d+% of the states are lost'):
+        found(c, without(run, share, burst=burst))
+    with pytest.raises(RecordingError, match=r'\d+% of the commands that acted are lost'):
+        found(c, without(run, share, 'command', burst))
+
+
+def test_a_rate_that_is_not_the_run_s_is_named(loop):
+    c, run = loop
+    with pytest.raises(RecordingError, match=r'5 ms apart, loop\.rate = 100 means 10 ms'):
+        found(c.replace(**{'loop.rate': 100.0}), run)
+
+
+class PositionOnly(SimulatedActuator):
+    """Measures no velocity."""
+
+    @property
+    def measured(self):
+        return 1
+
+    def measure(self):
+        return super().measure()[:1]
+
+
+def test_a_velocity_that_is_not_measured_contradicts_nothing(loop):
+    c, run = loop
+    c = c.replace(**{'driver.name': f'{__name__}:PositionOnly'})
+    for item, truth in zip(found(c, changed(run, V, lambda v: v * np.nan)).bounds.values(), TRUTH,
+                           strict=True):
+        assert item.value == pytest.approx(truth, rel=0.1)
+
+
+def test_a_driver_s_own_samples_are_checked_as_well(loop):
+    c, run = loop
+    samples = from_run(run, c)
+    x = samples.x.copy()
+    x[:, 1] *= 9.55
+    with pytest.raises(RecordingError, match='rpm'):
+        identify(replace(samples, x=x), c, motion_speed(samples))

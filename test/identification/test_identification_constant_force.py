@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A constant force by the drift of a simulation of all samples."""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+import pytest
+
+from dz_ros.core.dataset import from_run as recorded
+from dz_ros.core.loop.offline import simulate
+from dz_ros.core.plants import PLANTS
+from dz_ros.files.configurations import load_configuration
+from dz_ros.identification.estimation.constant_force import constant_term, refine_constant
+from dz_ros.identification.estimation.prediction_error import Estimate, Fit
+from dz_ros.identification.samples import from_run
+
+
+@pytest.fixture(scope='module')
+def axis():
+    """Return a configuration of an axis with a constant force, and samples of its loop."""
+    c = load_configuration('axis', [
+        'plant.constant_force=-3.0', 'plant.noise=[0.0001, 0.001]', 'loop.duration=15.0',
+        'plant.dead_zone.b_r=0.0', 'plant.dead_zone.b_l=0.0', 'plant.dead_zone.m_r=1.0',
+        'plant.dead_zone.m_l=1.0'])
+    return c, from_run(recorded(simulate(c), 10 ** 18), c)
+
+
+def plant(c, a3, half_width):
+    names = ('a1', 'a2', 'a3', 'b_r', 'b_l', 'b·m_r', 'b·m_l')
+    values = (*c.plant.a[:2], a3, 0.0, 0.0, c.plant.b, c.plant.b)
+    return Fit(c.plant.name, tuple(Estimate(name, value, half_width if name == 'a3' else 0.01)
+                                   for name, value in zip(names, values, strict=True)),
+               c.plant.b, (1.0, 1.0), 100, 20)
+
+
+def test_which_plants_have_a_constant_term():
+    found = {name: constant_term(PLANTS.load(name)()) for name in PLANTS.builtin}
+    assert found['axis'] == 2
+    assert {place for name, place in found.items() if name != 'axis'} == {None}
+
+
+@pytest.mark.parametrize('share', [0.8, 1.2])
+def test_a_force_that_is_wrong_is_found(axis, share):
+    c, samples = axis
+    truth = c.plant.a[2]
+    found = refine_constant(plant(c, share * truth, 0.5 * abs(truth)), samples, c, 0)
+    assert found['a3'].value == pytest.approx(truth, rel=0.02)
+    assert found.a[:2] == c.plant.a[:2]
+
+
+def test_it_stays_within_its_interval(axis):
+    c, samples = axis
+    truth = c.plant.a[2]
+    found = refine_constant(plant(c, 1.5 * truth, 0.1 * abs(truth)), samples, c, 0)
+    assert found['a3'].value == pytest.approx(1.4 * truth, rel=0.01)
+
+
+def test_what_is_not_seen_or_too_short_stays(axis):
+    c, samples = axis
+    fitted = plant(c, -0.05, math.inf)
+    assert refine_constant(fitted, samples, c, 0) is fitted
+    holes = samples.x.copy()
+    holes[::200] = np.nan
+    fitted = plant(c, -0.05, 0.1)
+    assert refine_constant(fitted, replace(samples, x=holes), c, 0) is fitted

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Starting and ending of a node's process: signals at any time, a home that is not there."""
+
+import signal
+import sys
+import time
+
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
+
+DZ = ('-m', 'dz_ros')
+MOST = 20_000
+"""Signals sent to one process at most."""
+READY = {
+    'plant_node': ('waiting for', '-p', 'loop.peers:=["nobody"]'),
+    'controller_node': ('design rule',),
+    'trajectory_node': ('waiting for', '-p', 'loop.peers:=["controller_node"]'),
+    'live_node': ('http://', '-p', 'port:=0'),
+}
+
+
+def bombard(process, number, pause):
+    """Send a signal again and again, until the process has ended."""
+    for _ in range(MOST):
+        if process.poll() is not None:
+            return
+        process.signal(number)
+        time.sleep(pause)
+    pytest.fail(f'still there after {MOST} signals: {process.output}')
+
+
+@pytest.mark.parametrize(('name', 'number', 'pause'), [
+    ('plant_node', signal.SIGINT, 0.0), ('plant_node', signal.SIGTERM, 0.001),
+    ('plant_node', signal.SIGHUP, 0.001), ('controller_node', signal.SIGINT, 0.001),
+    ('trajectory_node', signal.SIGINT, 0.001), ('live_node', signal.SIGINT, 0.001)])
+def test_further_signals_do_not_break_the_end_of_a_node(processes, name, number, pause):
+    line, *arguments = READY[name]
+    node = processes(sys.executable, '-c', f'import sys; from dz_ros.nodes.main import run_node; '
+                     f'sys.exit(run_node({name!r}))', '--ros-args', *arguments)
+    node.wait_for_line(line)
+    bombard(node, number, pause)
+    assert node.wait() == 0, node.output
+    assert 'Traceback' not in node.output
+
+
+@pytest.mark.parametrize('pause', [0.0, 0.003])
+def test_further_signals_do_not_break_the_end_of_a_run(processes, tmp_path, pause):
+    run = processes(*DZ, 'run', '--duration', '0', '--record', tmp_path / 'run')
+    run.wait_for_line('t  ')
+    bombard(run, signal.SIGINT, pause)
+    assert run.wait() == 0, run.output
+    assert 'Traceback' not in run.output
+    assert 'none missing' in run.output
+    assert (tmp_path / 'run/metadata.yaml').exists()
+
+
+HOMES = [{'HOME': None}, {'HOME': ''}, {'HOME': '/dev/null'}, {'ROS_LOG_DIR': '/dev/null/log'},
+         {'ROS_HOME': '/proc/none'}]
+
+
+@pytest.mark.parametrize('environment', HOMES, ids=str)
+def test_without_a_folder_for_log_files_a_node_says_what_to_set_and_goes_on(processes,
+                                                                            environment):
+    node = processes('-m', 'dz_ros.nodes.main', 'plant_node', '--ros-args', '-p',
+                     'loop.peers:=["nobody"]', **{'ROS_LOG_DIR': None, **environment})
+    node.wait_for_line('waiting for')
+    assert node.interrupt() == 0
+    assert 'ROS_LOG_DIR' in node.output.splitlines()[0]
+    assert node.output.count('ROS_LOG_DIR') == 1
+    assert 'Traceback' not in node.output
+    assert '>>>' not in node.output
+
+
+@pytest.mark.parametrize('words', [('run', '--duration', '0.5', '--quiet'), ('estop',),
+                                   ('status', '--once')], ids=' '.join)
+def test_without_a_home_a_verb_does_its_work_and_says_so_in_one_line(processes, words):
+    verb = processes(*DZ, *words, HOME=None, ROS_LOG_DIR=None)
+    code = verb.wait()
+    assert (code == 0) == (words[0] == 'run'), verb.output      # the others find no loop
+    assert 'pressed on /estop' in verb.output or words[0] != 'estop'
+    assert verb.output.count('ROS_LOG_DIR') == 1
+    assert 'Traceback' not in verb.output

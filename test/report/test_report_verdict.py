@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The verdict on a run: faults and losses fail it; samples without the law count nowhere."""
+
+from dataclasses import replace
+import json
+
+import numpy as np
+import pytest
+
+from dz_ros.core.dataset import Channel
+from dz_ros.core.records import Status
+from dz_ros.report.report import compose
+from dz_ros.report.verdict import judge
+from dz_ros.report.view import View
+
+
+def with_events(run, *events):
+    """Return a run with events (loop time [s], fields)."""
+    state = run.channels['state']
+    return replace(run, events=tuple(
+        (int(np.interp(time, state['stamp'], state.log_time)), fields['node'], json.dumps(fields))
+        for time, fields in events))
+
+
+def mode(node, name, earlier, reason=''):
+    return {'node': node, 'event': 'mode', 'mode': name, 'earlier': earlier, 'cause': name,
+            'reason': reason}
+
+
+@pytest.fixture
+def run(simulated):
+    return simulated({'loop.duration': 4.0})
+
+
+def test_a_run_without_faults_has_no_failure(run):
+    found = judge(View.of(run))
+    assert found.failures == ()
+    assert found.lines()[0] == 'verdict: no failure'
+    assert any('801 samples, none lost' in fact for fact in found.facts)
+
+
+def test_a_latched_fault_fails_the_run_and_is_a_banner(run):
+    broken = with_events(run, (1.0, mode('/plant_node', 'running', 'waiting')),
+                         (2.5, mode('/plant_node', 'fault', 'running', 'the motor is gone')))
+    view = View.of(broken)
+    found = judge(view)
+    assert found.failures == (
+        '/plant_node ended in a latched fault at 2.500 s: the motor is gone',)
+    page = compose(view, None, [], 'Run')
+    assert page.index('class="fault"') < page.index('<nav')
+    assert 'FAILED: /plant_node ended in a latched fault' in page
+
+
+def test_a_fault_that_was_reset_is_a_fact(run):
+    found = judge(View.of(with_events(
+        run, (1.0, mode('/plant_node', 'fault', 'running', 'x')),
+        (2.0, mode('/plant_node', 'waiting', 'fault')),
+        (3.0, mode('/controller_node', 'estop', 'running')),
+        (3.5, mode('/controller_node', 'waiting', 'estop')))))
+    assert found.failures == ()
+    assert 'faults that were reset: 1; e-stops, both ends counted: 1' in found.facts
+
+
+def test_lost_samples_fail_the_run(run):
+    state = run.channels['state']
+    keep = np.arange(len(state)) % 100 != 50
+    lossy = Channel(state.labels, state.values[keep], state.log_time[keep],
+                    state.publish_time[keep])
+    found = judge(View.of(replace(run, channels={**run.channels, 'state': lossy})))
+    assert found.failures == ('samples lost: 8 of state',)
+
+
+def test_samples_without_the_law_enter_no_share(run):
+    terms = run.channels['terms']
+    values = terms.values.copy()
+    values[:, terms.labels.index('status')] = Status.INACTIVE
+    values[:, terms.labels.index('s')] = 0.0
+    idle = replace(run, channels={**run.channels, 'terms': replace(terms, values=values)})
+    metrics = View.of(idle).metrics
+    assert metrics.s_over_epsilon_max is None
+    assert metrics.layer_share is None
+    assert metrics.omega_share is None
+    facts = judge(View.of(idle)).facts
+    assert any('the law was inactive in 801 samples' in fact for fact in facts)
+
+
+def test_some_samples_without_the_law_are_left_out(run):
+    terms = run.channels['terms']
+    values = terms.values.copy()
+    idle = slice(500, None)
+    values[idle, terms.labels.index('status')] = Status.INACTIVE
+    values[idle, terms.labels.index('s')] = 0.0
+    some = replace(run, channels={**run.channels, 'terms': replace(terms, values=values)})
+    window = (2.0, 4.0)
+    before = View.of(run, window=(2.0, 499 * 0.005)).metrics
+    assert View.of(some, window=window).metrics.s_over_epsilon_max == before.s_over_epsilon_max

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Retuned laws: equal budgets, hard limits, kept searches, tables that name the winner."""
+
+from dataclasses import replace
+import json
+import math
+import re
+
+import pytest
+
+from dz_ros.cli.main import main
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.laws import LAWS
+from dz_ros.core.schema import fields
+from dz_ros.errors import ConfigurationError
+from dz_ros.studies.outcome import row_of
+from dz_ros.studies.retune import (
+    ALL,
+    Conditions,
+    effort_of,
+    evaluate,
+    Found,
+    limits_of,
+    margins,
+    place_of,
+    read,
+    retune,
+    scaled,
+    score_of,
+    search,
+)
+from dz_ros.studies.retune_page import best_of, errors_table, summary, table
+from dz_ros.studies.scenarios import base_configuration, entrants, scenarios
+
+DURATION = 6.0
+
+
+@pytest.mark.parametrize('name', LAWS.builtin)
+def test_free_gains_exist_and_their_ends_are_allowed(name):
+    law = LAWS.load(name)
+    known = {item.name for item in fields(law.Gains)}
+    assert law.tunable
+    for item in law.tunable:
+        assert item.key in known
+        assert 0.0 < item.low < item.high
+        for value in (item.low, item.high):
+            Configuration.from_flat({'controller.law': name, f'controller.{item.key}': value})
+
+
+def test_the_unit_cube_is_the_range():
+    entrant = entrants()['ladrc']
+    law = LAWS.load('ladrc')
+    for share, end in ((0.0, 'low'), (1.0, 'high')):
+        found = scaled(entrant, [share] * len(law.tunable))
+        for item in law.tunable:
+            assert found[f'controller.{item.key}'] == pytest.approx(getattr(item, end))
+
+
+def test_the_place_of_gains_is_where_they_are_scaled_from():
+    entrant = entrants()['robust_eso']
+    shipped = scaled(entrant, place_of(entrant))
+    assert shipped['controller.lambda'] == pytest.approx(10.0)
+    assert shipped['controller.observer_rate'] == pytest.approx(50.0)
+    beyond = {**shipped, 'controller.lambda': 1e6}
+    assert place_of(entrant, beyond)[0] == 1.0
+
+
+def test_limits_are_hard():
+    good, _ = score_of([(1e-3, 4.0, 5.0)], 10.0, 8.0)
+    best, _ = score_of([(1e-9, 4.0, 10.1)], 10.0, 8.0)
+    worse, _ = score_of([(1e-9, 20.0, 5.0)], 10.0, 8.0)
+    lost, error = score_of([(1e-3, 4.0, 5.0), None], 10.0, 8.0)
+    assert good < best < worse < lost
+    assert math.isinf(error)
+
+
+def test_effort_is_that_of_the_comparison():
+    base = base_configuration(DURATION)
+    changes = {'controller.law': 'robust_eso'}
+    row = row_of(base, changes)
+    assert effort_of(base, changes) == (row['error_max'], row['v_variation'], row['v_peak_run'])
+    assert effort_of(base, {**changes, 'controller.lambda': -1.0}) is None
+
+
+def test_chatter_under_delay_is_no_measure_of_effort():
+    names = ('nominal', 'b=2, delay 1')
+    known = scenarios(DURATION)
+    base = base_configuration(DURATION)
+    paper = {'controller.law': 'wang2004'}
+    chatter = effort_of(base, {**paper, **known['b=2, delay 1'].members[0]})[1]
+    limits = limits_of({name: known[name] for name in names}, DURATION)
+    assert chatter > 100.0
+    assert limits['b=2, delay 1'][1] < 0.2 * chatter
+
+
+def test_a_law_with_a_place_for_the_limit_is_given_it():
+    entrant = entrants()['ladrc 2']
+    conditions = Conditions.full(['ω = 3'], DURATION, 1)
+    gains = scaled(entrant, place_of(entrant, {
+        'controller.lambda': 30.0, 'controller.observer_rate': 60.0,
+        'controller.input_gain': 1.0}))
+    found = evaluate(entrant, gains, conditions, 'ω = 3', 0)
+    assert 16.7 < found.peak <= conditions.limits['ω = 3'][0]
+
+
+def test_searches_are_kept_and_not_made_again(tmp_path, monkeypatch):
+    path = tmp_path / 'searches.jsonl'
+    laws = {name: entrants()[name] for name in ('pd', 'ladrc')}
+    first = retune(laws, ['nominal'], path, DURATION, 1, 1, 12, jobs=1)
+    assert len(path.read_text().splitlines()) == 4
+    monkeypatch.setattr('dz_ros.studies.retune.search', None)
+    assert retune(laws, ['nominal'], path, DURATION, 1, 1, 12, jobs=1) == first
+    assert {item.scenario for item in first} == {'nominal', ALL}
+    limits = limits_of({'nominal': scenarios(DURATION)['nominal']}, DURATION)['nominal']
+    for item in best_of(first).values():
+        if item.score < 10.0:
+            assert item.peak <= limits[0] * (1.0 + 1e-6)
+            assert item.variation <= limits[1] * (1.0 + 1e-6)
+    with pytest.raises(ConfigurationError, match='holds searches of a budget of 12'):
+        retune(laws, ['nominal'], path, DURATION, 1, 1, 13, jobs=1)
+    path.write_text('{"law": 1}\n')
+    with pytest.raises(ConfigurationError, match='not a file of searches'):
+        read(path)
+
+
+def test_a_search_is_never_worse_than_the_gains_as_shipped():
+    entrant = entrants()['disturbance_observer']
+    conditions = Conditions.full(['nominal'], DURATION, 1)
+    shipped = evaluate(entrant, {}, conditions, 'nominal', 0)
+    found = search(entrant, 'nominal', conditions, conditions, 0, 12)
+    assert found.score <= shipped.score + 1e-6      # gains scaled there and back
+    assert found.errors['nominal'] == pytest.approx(found.error)
+
+
+def test_table_names_the_best_and_the_distance():
+    one = Found('robust_eso', 'nominal', 0, {}, math.log(3e-4), 3e-4, 6.0, 5.0, (4.4, 2.1), 1)
+    other = replace(one, law='ladrc', score=math.log(6e-4), error=6e-4)
+    beyond = replace(one, law='pid', score=10.5, error=1e-5)
+    lines = table([one, other, beyond])
+    assert '| **`robust_eso`** | yes |' in lines[-1]
+    assert '| 2.00 |' in lines[-1]
+    assert 'pid' not in lines[-1]
+    assert 'none within the limits' in table([beyond])[-1]
+    assert len({len(re.split(r'(?<!\\)\|', line)) for line in [*lines, *table([beyond])]}) == 1
+    assert 'smallest error in 1 of 1' in summary([one, other, beyond])
+    better = replace(other, error=1e-4, score=math.log(1e-4))
+    assert '| no |' in table([one, better])[-1]
+    assert '| 3.00 |' in table([one, better])[-1]
+    assert 'nominal (`ladrc`, 3.00 times smaller)' in summary([one, better])
+    everywhere = [replace(item, scenario=ALL, errors={'nominal': item.error})
+                  for item in (one, other)]
+    assert errors_table(everywhere)[-1] == '| nominal | **0.0003** | 0.0006 |'
+
+
+def test_margins_are_those_of_the_matrix():
+    c = Configuration.from_flat({'controller.law': 'robust_eso'})
+    (free, late), delay = margins(c)
+    assert (free, late) == (pytest.approx(4.44, abs=0.02), pytest.approx(2.08, abs=0.02))
+    assert delay == 1
+    assert margins(Configuration.from_flat({'controller.law': 'neural'}))[1] >= -1
+
+
+def test_verb_prints_both_tables(tmp_path, capsys):
+    words = ['arena', '--retune', str(tmp_path / 'x.jsonl'), '--laws', 'pd', '--scenarios',
+             'nominal', '--budget', '4', '--searches', '1', '--duration', '4', '--quiet']
+    assert main(words) == 0
+    assert '| nominal |' in capsys.readouterr().out
+    assert json.loads((tmp_path / 'x.jsonl').read_text().splitlines()[0])['law'] == 'pd'
+    assert main([*words, '--budget', '0']) == 2
