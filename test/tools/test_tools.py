@@ -58,7 +58,7 @@ def docs(tmp_path, monkeypatch):
     ('dz_ros/core/b.py', '# by §3\n', 'b.py:1: docs/mathematics.md has no section 3'),
     ('docs/notation.md', '<!-- signals: written by tools/signal_tables.py -->\n'
                          '<!-- end of signals -->\n', 'docs/notation.md: old tables of signals'),
-    ('docs/references.md', '@book{known2000,}\n@book{idle1999,}\n', 'nobody cites idle1999'),
+    ('docs/references.md', '@book{known2000,}\n@book{idle1999,}\n', 'nothing cites idle1999'),
     ('dz_ros/nodes/c.py', '', 'lacks the folder dz_ros/nodes/'),
     ('extra/c.py', '', 'lacks the folder extra/'),
     ('docs/architecture.md', 'Folders of `dz_ros/`:\n| `core/` | x |\n| `gone/` | x |\n'
