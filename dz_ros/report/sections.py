@@ -167,6 +167,8 @@ def promised(view: View) -> str:
     """Return what the theorem promises of the run and what it does not."""
     found = guarantee(view)
     parts = [page.paragraph(found.statement)]
+    if found.covered:
+        parts.append(page.paragraph(f'Robust gain: {found.covered}'))
     if found.bounds is not None:
         worst = view.metrics.state_error_max
         parts.append(page.table(
