@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         print("dz: note: without numba this takes long: pip install 'dz_ros[numba]'",
               file=sys.stderr)
     with prompt_end():
-        arena = run_arena(plan, arguments.jobs, progress=Progress(plan.runs, arguments.quiet))
+        arena = run_arena(plan, arguments.jobs, progress=Progress(plan.runs))
     if arguments.csv:
         print(arena.csv(), end='')
     else:
@@ -91,7 +91,7 @@ def _retune(arguments: argparse.Namespace, plan: Plan) -> int:
     with prompt_end():
         found = retune(laws, list(plan.scenarios), arguments.retune, plan.duration, plan.seeds,
                        arguments.searches, arguments.budget, arguments.jobs, arguments.cluster,
-                       Progress(searches, arguments.quiet))
+                       Progress(searches))
     print(summary(found), '', *table(found), '', *gains_table(found), '', *errors_table(found),
           sep='\n')
     return 0

@@ -19,6 +19,7 @@ import sys
 from typing import Any
 
 from dz_ros.cli.processes import python_environment
+from dz_ros.cli.progress import stage
 from dz_ros.core.statistics import LATE, percentile
 from dz_ros.errors import LoopError
 from dz_ros.runtime.privileges import ADVICE, usable_cores
@@ -46,8 +47,9 @@ def run(arguments: argparse.Namespace) -> int:
         f"process.cores: '{last}'": ['--cores', str(last)],
         'process.priority: 50': ['--priority', '50'],
         'all of them': ['--lock', '--cores', str(last), '--priority', '50']}
-    idle = {name: measure(words, arguments.seconds) for name, words in setups.items()}
-    with _load(len(setups) * (arguments.seconds + WHOLE)):
+    with stage('measuring an idle machine'):
+        idle = {name: measure(words, arguments.seconds) for name, words in setups.items()}
+    with _load(len(setups) * (arguments.seconds + WHOLE)), stage('measuring a busy machine'):
         busy = {name: measure(words, arguments.seconds) for name, words in setups.items()
                 if not idle[name]['refused']}
     machine = _machine()

@@ -19,6 +19,7 @@ from typing import Any, NoReturn
 
 from dz_ros.cli.interrupt import INTERRUPTED
 from dz_ros.cli.interrupt import line as interrupt_line
+from dz_ros.cli.progress import silence
 from dz_ros.errors import DzRosError, suggestion
 from dz_ros.runtime.import_path import drop_current_folder
 from dz_ros.runtime.signals import ENDS, ignore_ends
@@ -186,6 +187,7 @@ def _run(words: Sequence[str]) -> int:
     if signal.getsignal(signal.SIGINT) not in (signal.SIG_IGN, None):
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
+        silence(any(getattr(arguments, name, False) for name in ('quiet', 'json')))
         if getattr(arguments, 'allow_import', None):
             from dz_ros.core.registry import allow_import
 

@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     if 'loop.duration' not in {axis.key for axis in plan.axes}:
         require_end(configuration)
     plan.check()
-    progress = Progress(len(plan), arguments.quiet)
+    progress = Progress(len(plan))
 
     def kept() -> str:
         return f'{progress.done} of {len(plan)} runs are kept; the same command goes on'
