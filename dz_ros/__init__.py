@@ -7,7 +7,8 @@ imported at first use, so that this import loads neither numpy nor ROS.
 
 from typing import Any
 
-__all__ = ['Comparison', 'Findings', 'Run', 'check', 'compare', 'from_control', 'load', 'read',
+__all__ = ['Comparison', 'Configuration', 'DzRosError', 'Findings', 'Law', 'Plant', 'Run',
+           'Trajectory', 'check', 'compare', 'from_control', 'load', 'parameter', 'read',
            'simulate', 'sweep', 'to_control']
 
 

@@ -88,7 +88,8 @@ def _retune(arguments: argparse.Namespace, plan: Plan) -> int:
             raise ConfigurationError(key, value, f'must be at least {least}')
     laws = {name: item for name, item in plan.entrants.items() if not name.startswith(IDEAL)}
     searches = len(laws) * (1 + len(plan.scenarios)) * arguments.searches
-    with prompt_end():
+    with prompt_end(lambda: f'finished searches are kept in {arguments.retune}; the same command '
+                            'goes on'):
         found = retune(laws, list(plan.scenarios), arguments.retune, plan.duration, plan.seeds,
                        arguments.searches, arguments.budget, arguments.jobs, arguments.cluster,
                        Progress(searches))

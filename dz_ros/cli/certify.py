@@ -11,6 +11,7 @@ from dataclasses import asdict
 from pathlib import Path
 import textwrap
 
+from dz_ros.cli.interrupt import prompt_end
 from dz_ros.cli.options import add_configuration, read_configuration
 from dz_ros.cli.output import print_json
 from dz_ros.cli.progress import stage
@@ -46,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
                                  'exists already; choose another file')
     configuration = read_configuration(arguments)
     largest = (max(1, configuration.loop.delay) if arguments.delay is None else arguments.delay)
-    with stage('enclosing the loop for each delay') as step:
+    with prompt_end(), stage('enclosing the loop for each delay') as step:
         found = certify(configuration, range(largest + 1), progress=step)
     if arguments.json:
         print_json(jsonable({'certified': found.certified,
@@ -54,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print(format_certificate(found, configuration))
     if arguments.picture is not None:
-        with stage(f'simulating {RUNS} runs for each delay, drawing'):
+        with prompt_end(), stage(f'simulating {RUNS} runs for each delay, drawing'):
             runs = [list(random_runs(configuration, found, item.delay, RUNS))
                     for item in found.delays]
             arguments.picture.write_bytes(certificate_picture(found, runs).png())

@@ -152,8 +152,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     previous = {number: signal.getsignal(number) for number in ENDS}
     try:
         return _run(list(sys.argv[1:] if argv is None else argv))
-    except KeyboardInterrupt:
-        print(interrupt_line(), file=sys.stderr)
+    except KeyboardInterrupt as end:
+        print(interrupt_line(str(end)), file=sys.stderr)
         return INTERRUPTED
     finally:
         if argv is None:

@@ -10,8 +10,7 @@ import argparse
 from pathlib import Path
 import sys
 
-from dz_ros.cli.interrupt import INTERRUPTED, prompt_end
-from dz_ros.cli.interrupt import line as interrupt_line
+from dz_ros.cli.interrupt import prompt_end
 from dz_ros.cli.options import add_configuration, read_configuration
 from dz_ros.cli.progress import Progress
 from dz_ros.errors import ConfigurationError
@@ -81,13 +80,8 @@ def run(arguments: argparse.Namespace) -> int:
     def kept() -> str:
         return f'{progress.done} of {len(plan)} runs are kept; the same command goes on'
 
-    try:
-        with prompt_end(kept):
-            lost = run_sweep(plan, out, arguments.jobs, arguments.cluster, progress,
-                             progress.resume)
-    except KeyboardInterrupt:
-        print(interrupt_line(kept()), file=sys.stderr)
-        return INTERRUPTED
+    with prompt_end(kept):
+        lost = run_sweep(plan, out, arguments.jobs, arguments.cluster, progress, progress.resume)
     print(f'{out}: {len(plan)} runs, {lost} of them lost')
     return 0
 
