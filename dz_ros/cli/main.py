@@ -257,7 +257,7 @@ def _overview() -> str:
     for title, group in GROUPS.items():
         lines.append(f'{title}:')
         for path, verb in group.items():
-            lines += [f'  {" ".join(path):16} {verb.summary}',
-                      f'  {"":16}   dz {" ".join(path)} {verb.example}'.rstrip()]
+            lines += [f'  {" ".join(path):17} {verb.summary}',
+                      f'  {"":17}   dz {" ".join(path)} {verb.example}'.rstrip()]
         lines.append('')
     return '\n'.join([*lines, 'dz VERB --help: options.'])
