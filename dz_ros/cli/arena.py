@@ -8,7 +8,7 @@ from pathlib import Path
 import sys
 
 from dz_ros.cli.interrupt import prompt_end
-from dz_ros.cli.progress import Progress
+from dz_ros.cli.progress import Progress, stage
 from dz_ros.core.loop.compiled import available
 from dz_ros.errors import ConfigurationError
 from dz_ros.studies.arena import Plan, run_arena
@@ -73,7 +73,9 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print(format_text(arena), '', conditions(arena), '', format_beaten(arena), sep='\n')
     if arguments.out is not None:
-        print(write_arena(arena, arguments.out), file=sys.stderr if arguments.csv else sys.stdout)
+        with stage('drawing the page'):
+            page = write_arena(arena, arguments.out)
+        print(page, file=sys.stderr if arguments.csv else sys.stdout)
     return 0
 
 

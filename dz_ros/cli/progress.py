@@ -71,6 +71,8 @@ class Progress:
         self._begin = time.monotonic()
         self._line = _Line(self._begin)
         self._base = self.done = 0
+        if self._line.terminal:
+            self(0, total)
 
     def resume(self, done: int) -> None:
         """Count runs that were done before, so that they do not make the estimate rosy."""

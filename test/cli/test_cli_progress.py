@@ -142,7 +142,8 @@ def test_on_a_terminal_a_line_takes_the_place_of_the_last_one(monkeypatch, capsy
     counted.resume(100)
     counted(101, 200, 'a long word')
     counted(200, 200)
-    lines = capsys.readouterr().err.split('\r')[1:]
+    first, *lines = capsys.readouterr().err.split('\r')[1:]
+    assert first == '0 of 200 runs, time left unknown'
     assert lines[0].startswith('101 of 200 runs, about')
     assert lines[0].endswith('(a long word)')
     assert lines[1].startswith('200 of 200 runs, ')
