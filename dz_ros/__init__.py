@@ -5,7 +5,11 @@
 imported at first use, so that this import loads neither numpy nor ROS.
 """
 
-from typing import Any
+from __future__ import annotations
+
+TYPE_CHECKING = False       # typing takes as long to import as all of Python's start
+if TYPE_CHECKING:
+    from typing import Any
 
 __all__ = ['Comparison', 'Configuration', 'DzRosError', 'Findings', 'Law', 'Plant', 'Run',
            'Trajectory', 'check', 'compare', 'from_control', 'load', 'parameter', 'read',

@@ -97,9 +97,9 @@ def measure(words: Sequence[str], seconds: float) -> dict[str, Any]:
     Raises:
         LoopError: It failed.
     """
-    done = subprocess.run(
+    done = subprocess.run(      # in a session of its own: Ctrl-C is answered here alone
         [sys.executable, '-m', 'dz_ros.runtime.probe', '--duration', str(seconds), *words],
-        env=python_environment(),
+        env=python_environment(), start_new_session=True,
         capture_output=True, text=True, check=False, timeout=WHOLE + seconds)
     if done.returncode:
         raise LoopError(f'a measurement failed: {done.stderr.strip().splitlines()[-1:]}')
@@ -117,7 +117,8 @@ def summary(ordered: Sequence[float]) -> dict[str, Any]:
 @contextlib.contextmanager
 def _load(limit: float) -> Iterator[None]:
     """Keep every core busy for at most `limit` [s]."""
-    busy = [subprocess.Popen([sys.executable, '-c', BUSY, str(limit)]) for _ in usable_cores()]
+    busy = [subprocess.Popen([sys.executable, '-c', BUSY, str(limit)], start_new_session=True)
+            for _ in usable_cores()]
     try:
         yield
     finally:

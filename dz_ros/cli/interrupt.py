@@ -42,11 +42,14 @@ def prompt_end(kept: Callable[[], str] = lambda: NOTHING_KEPT) -> Iterator[None]
         return
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
-    over = threading.Event()
+    over, asked = threading.Event(), threading.Event()
 
     def watch() -> None:
         while number := os.read(reading, 1):
-            if number[0] == signal.SIGINT and not over.wait(LIMIT):
+            if number[0] != signal.SIGINT:
+                continue
+            asked.set()
+            if not over.wait(LIMIT):
                 for process in multiprocessing.active_children():
                     process.kill()
                 for pid in _starting():
@@ -56,7 +59,8 @@ def prompt_end(kept: Callable[[], str] = lambda: NOTHING_KEPT) -> Iterator[None]
                 os._exit(INTERRUPTED)
 
     def unraisable(problem: sys.UnraisableHookArgs) -> None:
-        if problem.exc_type is not KeyboardInterrupt:   # lost in a callback: `watch` ends it
+        # Lost in a callback: `watch` ends it. Else an object that was interrupted half-made.
+        if problem.exc_type is not KeyboardInterrupt and not asked.is_set():
             hook(problem)
 
     hook, sys.unraisablehook = sys.unraisablehook, unraisable

@@ -53,7 +53,8 @@ def waiting(process, period, what):
 
 def interrupt(process, group, folder):
     """Send Ctrl-C to the process, or as a terminal does to its group; return what it printed."""
-    (os.killpg if group else os.kill)(process.pid, signal.SIGINT)
+    if process.poll() is None:
+        (os.killpg if group else os.kill)(process.pid, signal.SIGINT)
     out, _ = process.communicate(timeout=TIME_OUT)
     err = (folder / 'stderr.txt').read_text()
     return out, ''.join(line for line in err.splitlines(True)
@@ -74,8 +75,8 @@ def of_session(leader):
 
 
 @pytest.mark.parametrize(('imported', 'delay', 'group'), [
-    ('argparse', 0.0, False), ('numpy', 0.0, True), ('dz_ros.core.laws', 0.5, True),
-    ('dz_ros.core.laws', 2.0, False)])
+    ('dz_ros.runtime.import_path', 0.0, True), ('argparse', 0.0, False), ('numpy', 0.0, True),
+    ('dz_ros.core.laws', 0.5, True), ('dz_ros.core.laws', 2.0, False)])
 @pytest.mark.parametrize('verb', LONG)
 def test_an_interrupt_is_one_line(verb, imported, delay, group, tmp_path):
     process = start(LONG[verb], tmp_path, imported)
@@ -91,6 +92,32 @@ def test_an_interrupt_is_one_line(verb, imported, delay, group, tmp_path):
     while left := of_session(process.pid):
         assert time.monotonic() < deadline, left
         time.sleep(0.02)
+
+
+@pytest.mark.parametrize('verb', ['simulate', 'tune'])
+def test_interrupts_while_it_ends_change_nothing(verb, tmp_path):
+    process = start(LONG[verb], tmp_path, 'dz_ros.core.laws')
+    while process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.001)
+    out, err = interrupt(process, False, tmp_path)
+    assert process.returncode == 130, err
+    assert 'Traceback' not in out + err
+    assert err.splitlines()[-1].startswith('dz: interrupted')
+
+
+def test_the_processes_of_doctor_leave_the_interrupt_to_it(tmp_path):
+    process = start(['doctor', '--seconds', '5'], tmp_path, 'dz_ros.core.statistics')
+    found = []
+    for _ in waiting(process, 0.01, 'nothing was measured'):
+        found = [Path(f'/proc/{pid}') for task in Path(f'/proc/{process.pid}/task').iterdir()
+                 for pid in (task / 'children').read_text().split()]
+        if found:
+            break
+    out, err = interrupt(process, True, tmp_path)
+    assert process.returncode == 130, err
+    assert 'Traceback' not in out + err
+    assert not any(path.exists() for path in found)
 
 
 @pytest.mark.slow
