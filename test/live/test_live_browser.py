@@ -288,7 +288,7 @@ def test_an_axis_is_chosen_and_what_is_done_is_of_that_axis(open_page, processes
     assert names == ['base', 'shoulder', 'elbow', 'roll', 'pitch', 'yaw']
     assert page.input_value('#axis') == 'base'
     page.select_option('#axis', 'yaw')
-    playwright.expect(page.locator('#answer')).to_contain_text('axis yaw')
+    page.until("dzRos.app.hello.axis === 'yaw'")
     wait_live(page)
     assert page.input_value('#axis') == 'yaw'
     page.fill('input[name="plant.dead_zone.b_r"]', '0.31')
