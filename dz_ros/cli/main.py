@@ -153,7 +153,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _run(list(sys.argv[1:] if argv is None else argv))
     except KeyboardInterrupt as end:
-        if argv is None:        # objects that were interrupted half-made are not to be heard of
+        if argv is None:        # objects that were interrupted half-made have nothing to print
             sys.unraisablehook = lambda _: None
         print(interrupt_line(str(end)), file=sys.stderr)
         return INTERRUPTED
