@@ -187,7 +187,7 @@ def test_written_files_are_what_ros_reads(name, tmp_path):
     path = tmp_path / 'p.yaml'
     write_parameters(configuration, path)
     text = path.read_text(encoding='utf-8')
-    assert '[]' not in text     # rcl refuses an empty array to a node that declares what it is given
+    assert '[]' not in text     # rcl refuses it to a node that declares all it is given
     written = yaml.safe_load(text)['/**']['ros__parameters']    # YAML 1.1, as other tools read it
     for key, value in configuration.to_flat().items():
         if configuration.axes and not parts(key)[0] and not is_machines(key):
