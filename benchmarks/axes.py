@@ -138,7 +138,7 @@ def table(found: dict[tuple[int, bool], list[tuple[float, Measured]]]) -> tuple[
             whole.add(item)
         trips = [statistics.median(item.round_trips) for _, item in turns]
         rows = [in_turns('CPU', [share / own for (share, _), (own, _) in zip(turns, one,
-                                                                            strict=True)],
+                                                                             strict=True)],
                          CPU_TARGET),
                 in_turns('round trip', [trip / own for trip, (_, own) in zip(trips, one,
                                                                              strict=True)],
