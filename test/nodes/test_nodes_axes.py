@@ -72,12 +72,19 @@ def stop(nodes):
         assert 'Traceback' not in node.output
 
 
+def held(truth):
+    """Return the command that each axis' actuator holds; 0 where it holds none."""
+    rows = np.reshape(truth.data, (len(AXES), -1))
+    return rows[:, 2] - rows[:, 3]
+
+
 def test_a_driver_that_dies_is_named_and_stops_every_axis(start, operator):
     nodes = start('-p', 'driver.name:=mock', '-p', 'axes.roll.driver.script:=["300- fault burnt"]')
     operator.wait_for_mode(actuator_node='fault')
     assert operator.modes()['actuator_node'][1].startswith('axis roll: burnt')
     seen = len(operator.heard['state'])
     operator.wait(lambda: len(operator.heard['state']) > seen + 20)
+    operator.wait(lambda: not any(held(operator.heard['truth'][-1])))
     assert operator.life('/actuator_node') == 'active'
     stop(nodes)
 
@@ -216,12 +223,6 @@ def test_a_stream_of_foreign_messages_is_silence_for_every_axis(start, operator)
     operator.wait(lambda: not any(held(operator.heard['truth'][-1])))
     assert 'command: axes in another order (' in nodes['actuator_node'].output
     stop(nodes)
-
-
-def held(truth):
-    """Return the command that each axis' actuator holds; 0 where it holds none."""
-    rows = np.reshape(truth.data, (len(AXES), -1))
-    return rows[:, 2] - rows[:, 3]
 
 
 def test_an_axis_at_its_limit_alone_is_held_back_and_its_adaptation_alone_frozen(
