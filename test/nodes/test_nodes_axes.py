@@ -79,7 +79,8 @@ def held(truth):
 
 
 def test_a_driver_that_dies_is_named_and_stops_every_axis(start, operator):
-    nodes = start('-p', 'driver.name:=mock', '-p', 'axes.roll.driver.script:=["300- fault burnt"]')
+    nodes = start(*operator.patient, '-p', 'driver.name:=mock', '-p',
+                  'axes.roll.driver.script:=["300- fault burnt"]')
     operator.wait_for_mode(actuator_node='fault')
     assert operator.modes()['actuator_node'][1].startswith('axis roll: burnt')
     seen = len(operator.heard['state'])
@@ -90,7 +91,7 @@ def test_a_driver_that_dies_is_named_and_stops_every_axis(start, operator):
 
 
 def test_a_limit_of_one_axis_is_a_fault_of_all_until_the_reset(start, operator):
-    nodes = start()
+    nodes = start(*operator.patient)
     assert not operator.set('/controller_node', controller__lambda=2.0).successful
     assert operator.set('/controller_node', axes__yaw__controller__lambda=8.0).successful
     assert operator.set('/controller_node', axes__pitch__safety__error_limit=1e-9).successful
@@ -100,7 +101,7 @@ def test_a_limit_of_one_axis_is_a_fault_of_all_until_the_reset(start, operator):
     operator.wait(lambda: not any(operator.heard['command'][-1].data[2::width]))
     assert len(operator.heard['command'][-1].data) == width * len(AXES)
     assert operator.set('/controller_node', axes__pitch__safety__error_limit=0.0).successful
-    assert operator.call('/controller_node/reset').success
+    operator.wait(lambda: operator.call('/controller_node/reset').success)
     operator.wait_for_mode(controller_node='running')
     stop(nodes)
 
