@@ -102,8 +102,8 @@ class LiveOperator:
         self._release()
         until, publisher = time.monotonic() + RELEASE_TIMEOUT, self._estop.publisher
         while not publisher.wait_for_all_acked(Duration()) and time.monotonic() < until:
-            self.spin()
             await asyncio.sleep(0.004)
+            self.receive_estop()
             self._loop.still(stops)
 
     def estop(self, viewer: str) -> dict[str, Any]:
