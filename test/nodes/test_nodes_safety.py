@@ -224,6 +224,7 @@ def test_gains_and_limits_change_while_it_runs_structure_does_not(loop, operator
     assert any(changed(*pair) for pair in pairwise(gains))
     for key, value, words in (('controller__k_d', -1.0, 'k_d'),
                               ('safety__safe_command', 60.0, 'command_limit'),
+                              ('controller__theta_0', [0.5] * 10_001, '10001 items: at most'),
                               ('loop__rate', 100.0, 'read-only'),
                               ('controller__law', 'pd', 'read-only')):
         refused = operator.set('controller_node', **{key: value})
