@@ -24,7 +24,7 @@ from dz_ros.nodes.ros.diagnostics import Diagnostics
 from dz_ros.nodes.ros.parameters import configure
 
 MAX_ITEMS = 10_000
-"""Numbers, texts or letters of one parameter that is set: the loop waits while they are checked."""
+"""Numbers, texts or letters of one parameter that is set: while each is checked the loop waits."""
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
