@@ -151,7 +151,7 @@ def loop_parameters(found: Sequence[Section], namespace: str, flatten: Flatten,
         owners = [role for role in OWNERS.get(section_of(key), ()) if role in values]
         first, *others = owners or values
         for other in others:
-            # Of a value that is not even equal to itself (.nan) what is wrong is said elsewhere.
+            # One that is not even equal to itself (.nan) is refused where it is checked.
             if values[other] != values[first] and repr(values[other]) != repr(values[first]):
                 raise fail(f'{key} = {values[first]!r} for {ROLES[first][0]} and '
                            f'{values[other]!r} for {ROLES[other][0]}: must be one value, the '

@@ -42,11 +42,11 @@ RECOVERY = 5.0
 STANDSTILL = 0.1
 """A check that fails is repeated if no state came for longer than this, and 5 T [s]."""
 STOP, STOPPED = 0.5, 20
-"""Of the commands after an e-stop none may act any more from this loop time on [s]; that none
-does is shown by so many states."""
+"""From this loop time after an e-stop on no command may act [s]; this number of states shows that
+none does."""
 ATTEMPTS = 10
-"""A bad message is sent again, so often at most, where the node had gone without a command before
-it, and may take any seq."""
+"""Largest number of times that a bad message is sent: where the node had gone without a command
+before it, it may take any seq."""
 
 
 class CheckNode(LoopNode):

@@ -86,7 +86,7 @@ class MachineWatch:
 class RunQueue:
     """How long this thread was ready to run while others ran; a context manager.
 
-    Where the system does not say, that is 0.
+    Where the system does not report it, that is 0.
     """
 
     def __init__(self) -> None:
