@@ -271,6 +271,7 @@ class CheckNode(LoopNode):
             return stopped or passed >= STOPPED + STOP / self._period
 
         self.spin_until(time.monotonic() + RECOVERY, done)
+        self._check_states(before, RECOVERY)
         safe = evidence.safe_after(self._safe)
         ignored = len(echoed()) == 1
         seen = not evidence.reports or safe is not None
@@ -352,5 +353,9 @@ class CheckNode(LoopNode):
         end, before = time.monotonic() + span, len(states)
         self.spin_until(end)
         self.spin_until(end + RECOVERY, lambda: len(states) - before >= 0.8 * span / self._period)
-        if len(states) == before and not self.stopping:
-            raise LoopError(f'no state for {RECOVERY + span:g} s: it stopped publishing')
+        self._check_states(before, RECOVERY + span)
+
+    def _check_states(self, before: int, span: float) -> None:
+        """Raise LoopError where there are no more states than `before`, after a time [s]."""
+        if len(self._evidence.states) == before and not self.stopping:
+            raise LoopError(f'no state for {span:g} s: it stopped publishing')
