@@ -278,7 +278,7 @@ class Configuration:
             check_alike(names[0], first, name, item)
         first.law.check_axes({name: item.law for name, item in axes})
         for chosen in dict.fromkeys(item.driver_class for _, item in axes):
-            check = getattr(chosen, 'check_axes', None)     # what is no subclass of Driver has none
+            check = getattr(chosen, 'check_axes', None)     # `Undriven` has none
             if check is not None:
                 check({name: item for name, item in axes if item.driver_class is chosen})
         model = type(first.plant)
