@@ -75,7 +75,7 @@ class _Subject:
 
     def stop(self) -> str:
         """Disable and close it; return what went wrong."""
-        return self.hosted.disable(self.safe_command, self.t) or self.hosted.close()
+        return str(self.hosted.disable(self.safe_command, self.t) or self.hosted.close())
 
     def samples(self, count: int) -> Iterator[int]:
         """Yield at the loop's rate, at absolute deadlines; each sample is ended."""

@@ -3,7 +3,6 @@
 
 import itertools
 import threading
-import time
 
 import can
 import pytest
@@ -30,6 +29,7 @@ def configured(**overrides):
         'driver.interface': 'virtual', 'driver.channel': f'axes-{next(_channels)}',
         'driver.bus_options': [], 'driver.answer_limit': 2.0, 'driver.heartbeat_hold': 1.0,
         'driver.command_hold': 1.0, 'driver.transition_limit': 10.0, 'safety.state_hold': 400,
+        'safety.fault_after': 5000,
         **{key.replace('__', '.'): value for key, value in overrides.items()}})
 
 
@@ -156,14 +156,13 @@ def test_each_axis_has_its_own_node_numbers_and_motor(machine, drive_all):
     assert hosted.measure(0.0)[2][1] < 0.0
 
 
-def test_opening_and_enabling_one_after_the_other_keeps_the_sync(machine, monkeypatch):
-    """Each step of the set-up takes its time; SYNC goes out as often meanwhile."""
-    m = machine()
+def test_opening_and_enabling_one_after_the_other_keeps_the_sync(machine, monkeypatch, until):
+    """Set-up waits for a drive that answers only after ten more SYNCs: they go out meanwhile."""
+    m = machine(driver__answer_limit=10.0)
     found = HostedDrivers(m.configuration)
     m._opened.append(found)
-    first, second, third = found.each
-    first.open()
-    shared = first.driver.shared
+    found.each[0].open()
+    shared = found.each[0].driver.shared
     counted, real = [], shared.sync
 
     def sync(drives):
@@ -171,23 +170,21 @@ def test_opening_and_enabling_one_after_the_other_keeps_the_sync(machine, monkey
         real(drives)
 
     monkeypatch.setattr(shared, 'sync', sync)
-    sdo = m.node('shoulder').value
 
-    def slow(index):
-        if index == 0x6061:
-            time.sleep(0.2)         # a drive that answers slowly
-        return sdo(index)
+    def slow(index, subindex, od):
+        if index == 0x1017:         # one that is just kept
+            wanted = len(counted) + 10
+            until(lambda: len(counted) >= wanted)
 
-    monkeypatch.setattr(m.node('shoulder'), 'value', slow)
-    second.open()
-    before = len(counted)
-    assert before >= 10
-    assert set(counted) <= {1, 2}             # the second is asked from when it is configured on
-    third.open()
+    for name in NAMES[1:]:
+        m.node(name).canopen.add_read_callback(slow)
+    for item in found.each[1:]:
+        item.open()
+    assert len(counted) >= 20
+    assert max(counted) < 3                    # none is served before it is configured
     for item in found.each:
         item.enable()
-    assert max(counted) == 3
-    assert len(counted) > before
+    until(lambda: counted[-1] == 3)
 
 
 def test_what_is_enabled_first_is_stopped_until_the_loop_commands(machine):
