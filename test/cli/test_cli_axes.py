@@ -222,8 +222,8 @@ def test_the_kit_checks_the_driver_of_each_axis_and_all_together(config, capsys,
                                          'restart')]
     _, alone = checked(capsys, monkeypatch, config, '--axis', 'yaw')
     assert not any(': ' in name for name in alone)
-    assert {f'yaw: {name}' for name in alone} == {name for name in found
-                                                 if name.startswith('yaw: ')}
+    of_yaw = {name for name in found if name.startswith('yaw: ')}
+    assert {f'yaw: {name}' for name in alone} == of_yaw
 
 
 def test_the_kit_names_the_axis_that_fails(config, capsys, monkeypatch):

@@ -55,8 +55,8 @@ class _Subject:
         self.t = 0.0
         self.seq = 0
         safe = tuple(item.safety.safe_command for item in configuration.each)
-        self.measured = ' and '.join(str(item.measured) for item in getattr(hosted, 'each',
-                                                                           (hosted,)))
+        each = getattr(hosted, 'each', (hosted,))
+        self.measured = ' and '.join(str(item.measured) for item in each)
         self.safe_command: Any = safe if configuration.axes else safe[0]
 
     def start(self) -> None:
