@@ -71,6 +71,14 @@ class Driver(ABC):
         """
         return [cls(item.driver_parameters, item) for item in each]
 
+    @classmethod
+    def check_axes(cls, each: Mapping[str, Configuration]) -> None:
+        """Check that the axes of a machine that name this class go together, by their names.
+
+        Raises:
+            ConfigurationError: They do not; its key is that of an axis (`axis_key`).
+        """
+
     @property
     def measured(self) -> int:
         """Number of the states x, x', … that it measures; the host observes a missing velocity."""

@@ -40,16 +40,16 @@ def state(names=('shoulder', 'joint1'), position=(9.0, 0.25), velocity=(8.0, -0.
 def listening(**parameters):
     """Return a driver that thinks it is open, and waited for its joint for long."""
     driver = make(**{'patience': 0.1, 'extrapolate': 'false', **parameters})
-    driver._publisher = types.SimpleNamespace(get_subscription_count=lambda: 1)
-    driver._since = time.monotonic() - 1.0
+    driver.group._publisher = types.SimpleNamespace(get_subscription_count=lambda: 1)
+    driver.group._since = time.monotonic() - 1.0
     return driver
 
 
 def test_the_named_joint_is_taken_wherever_it_stands():
     driver = listening(fresh=1000)
-    driver.receive(state(), 1)
+    driver.states.receive(state(), 1)
     assert driver.measure() == (0.25, -0.5)
-    driver.receive(state(('joint1', 'shoulder'), (0.5, 9.0), (1.0, 8.0), (1, 1)), 2)
+    driver.states.receive(state(('joint1', 'shoulder'), (0.5, 9.0), (1.0, 8.0), (1, 1)), 2)
     assert driver.measure() == (0.5, 1.0)
     assert driver.fault() == ''
 
@@ -68,13 +68,13 @@ def test_the_named_joint_is_taken_wherever_it_stands():
 ])
 def test_what_is_wrong_with_a_joint_state_is_said(message, words):
     driver = listening()
-    driver.receive(message)
+    driver.states.receive(message)
     assert driver.measure() is None
     assert words in driver.fault()
     assert len(driver.fault()) < 500
     with pytest.raises(DriverError, match='joint'):
         driver.recover()
-    assert sum(driver.refused.values()) + driver.counts['joint states of others'] == 1
+    assert sum(driver.refused.values()) + driver.states.counts['joint states of others'] == 1
 
 
 def test_nothing_at_all_is_said():
@@ -83,28 +83,28 @@ def test_nothing_at_all_is_said():
 
 def test_others_joints_and_a_stamp_that_stands_still_are_no_measurement():
     driver = listening(fresh=1000, patience=1000)
-    driver.receive(state())
+    driver.states.receive(state())
     first = driver.measure()
     for message in (state(position=(1.0, 2.0)), state(names=('a', 'b'), stamp=(2, 0)),
                     state(position=(math.nan,) * 2, stamp=(2, 0))):
-        driver.receive(message)
+        driver.states.receive(message)
         assert driver.measure() == first
-    driver.receive(state(position=(1.0, 2.0), stamp=(3, 0)))
+    driver.states.receive(state(position=(1.0, 2.0), stamp=(3, 0)))
     assert driver.measure() == (2.0, -0.5)
     unstamped = state(stamp=(0, 0))         # a broadcaster that does not say when
     for _ in range(2):
-        driver.receive(unstamped)
+        driver.states.receive(unstamped)
         assert driver.measure() == (0.25, -0.5)
 
 
 def test_an_older_state_of_the_same_publisher_is_no_measurement():
     driver = listening(fresh=1000, patience=1000)
-    driver.receive(state(position=(1.0, 2.0), stamp=(3, 0)), 1)
-    driver.receive(state(position=(1.0, 3.0), stamp=(2, 10 ** 9 - 1)), 2)
+    driver.states.receive(state(position=(1.0, 2.0), stamp=(3, 0)), 1)
+    driver.states.receive(state(position=(1.0, 3.0), stamp=(2, 10 ** 9 - 1)), 2)
     assert driver.measure() == (2.0, -0.5)
     assert driver.absence() == 'the stamp of /joint_states goes back'
     assert driver.refused == {'joint states whose stamp goes back': 1}
-    driver.receive(state(position=(1.0, 4.0), stamp=(1, 0)), 3)        # the clock was set
+    driver.states.receive(state(position=(1.0, 4.0), stamp=(1, 0)), 3)     # the clock was set
     assert driver.measure() == (4.0, -0.5)
 
 
@@ -136,12 +136,12 @@ def test_the_position_is_advanced_by_the_age_of_the_state():
     for number, (stamp, age) in enumerate((((4, 996_000_000), 0.004), ((3, 0), 0.0),
                                            ((6, 0), 0.0))):
         begun = time.monotonic()
-        driver.receive(state(stamp=stamp), number)    # the others are of another clock
+        driver.states.receive(state(stamp=stamp), number)    # the others are of another clock
         x, speed = driver.measure()
         waited = time.monotonic() - begun
         assert speed == -0.5
         assert 0.25 - 0.5 * (age + waited + 1e-9) <= x <= 0.25 - 0.5 * (age - 1e-9), stamp
-    assert driver.counts['joint states whose stamp is of another clock, or late'] == 2
+    assert driver.states.counts['joint states whose stamp is of another clock, or late'] == 2
 
 
 class Graph:
@@ -177,8 +177,8 @@ class Graph:
 def watching(name=''):
     pytest.importorskip('rclpy', reason='rclpy is not installed')
     graph = Graph()
-    return graph, ForwardingController(graph, graph, 'commands', name, 'joint1', 'effort',
-                                       '/activity')
+    return graph, ForwardingController(graph, graph, 'commands', name, ['joint1'],
+                                       'effort', '/activity')
 
 
 def test_the_manager_s_activity_tells_the_state_of_the_controller():
@@ -228,8 +228,8 @@ def test_units_are_the_joint_s():
 
 def test_an_old_joint_state_is_none():
     driver = listening(fresh=2.0)
-    driver.receive(state())
-    driver.receive(state(stamp=(2, 0)), arrived=time.monotonic() - 0.011)
+    driver.states.receive(state())
+    driver.states.receive(state(stamp=(2, 0)), arrived=time.monotonic() - 0.011)
     assert driver.measure() is None
 
 
@@ -238,7 +238,8 @@ def test_the_velocity_is_observed_where_it_is_not_measured():
                                                       'driver.extrapolate=false']))
     assert hosted.observing
     for k in range(400):
-        hosted.driver.receive(state(position=(0.0, 0.4 * k * 0.005), velocity=(), stamp=(1, k)))
+        hosted.driver.states.receive(state(position=(0.0, 0.4 * k * 0.005), velocity=(),
+                                           stamp=(1, k)))
         x = hosted.measure(k * 0.005)
     assert x == pytest.approx((0.4 * 399 * 0.005, 0.4), rel=1e-3)
 
