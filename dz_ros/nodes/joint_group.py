@@ -134,6 +134,7 @@ class JointGroup:
     def close(self, place: int) -> None:
         """Withdraw from the topics, with the last joint that was opened."""
         self._opened.discard(place)
+        self._enabled.discard(place)        # also after an error, without `disable`
         if self._opened:
             return
         if self._timer is not None:

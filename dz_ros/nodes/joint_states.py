@@ -28,7 +28,6 @@ from dz_ros.core.counted_log import Counted
 from dz_ros.core.text import LONGEST, printable
 from dz_ros.drivers.freshness import Freshness
 from dz_ros.nodes.joint_sources import JointSources
-from dz_ros.nodes.ros.graph import publishers
 
 QUEUE_DEPTH = 10
 """Joint states kept between two samples: both publishers of a joint must be seen."""
@@ -240,6 +239,8 @@ class JointStates:
         """Return the publishers of the joints' state, as text."""
         names = ''
         if self.node is not None and self._subscription is not None:
+            from dz_ros.nodes.ros.graph import publishers
+
             names = ', '.join(publishers(self.node, self._topic))
         joints = ', '.join(map(repr, self._joints))
         return (f'more than one publisher publishes joint{"s" if len(self._joints) > 1 else ""} '
