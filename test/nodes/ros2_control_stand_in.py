@@ -15,16 +15,15 @@ effort_controllers/JointGroupEffortController ('effort'), each a node of its own
 
 Usage: CONFIG KIND [KEY=VALUE ...], with rate (of the manager [Hz]), joints (of the controller,
 separated by commas), interface, active (1 from the start), delay (of the joint states after their
-stamp [s]), log (file of lines "instant position", written at the end), namespace, activity (1 =
-published, in place of transition events). What the test wants is said
-on the topic `do`, one word: activate, deactivate, silence, speak, nan, number, rename, name,
-freeze, run, positions, all, blind, seeing (velocity NaN or not), stuck, moving (values frozen,
-stamps running), part, whole (the last joint is left out or not), twice, once (the last joint has
-the name of the first or its own), another (a joint_state_publisher that says 0 begins), home (the
-joints are brought back to 0, at rest, as by a person). What nan, rename and positions do is done
-to the last joint. What the hardware holds is on `interface`: [active, command, position, instant
-[s of the steady clock]]; of several joints commands in the order of the controller, positions in
-that of the axes.
+stamp [s]), log (file of lines "instant positions", written at the end), namespace, activity (1 =
+published, in place of transition events). What the test wants is said on the topic `do`, one word:
+activate, deactivate, unload (with activity), silence, speak, nan, number, rename, name, freeze,
+run, positions, all, blind, seeing (velocity NaN or not), stuck, moving (values frozen, stamps
+running), part, whole (the last joint left out or not), another (a joint_state_publisher that says
+0 begins), home (the joints are brought back to 0, at rest, as by a person); nan, rename and blind
+are of the last joint. What the hardware holds is on `interface`: [active, command, position,
+instant [s of the steady clock]]; of several joints lists, commands in the order of the controller,
+positions in that of the axes.
 """
 
 from collections import deque
@@ -52,8 +51,7 @@ OPTIONS = {'rate': '500', 'joints': '', 'interface': 'effort', 'delay': '0',
            **dict(word.split('=', 1) for word in sys.argv[3:])}
 OTHERS = ('shoulder', 'wrist')
 OPPOSITE = {'speak': 'silence', 'number': 'nan', 'name': 'rename', 'run': 'freeze',
-            'all': 'positions', 'seeing': 'blind', 'moving': 'stuck', 'whole': 'part',
-            'once': 'twice'}
+            'all': 'positions', 'seeing': 'blind', 'moving': 'stuck', 'whole': 'part'}
 
 
 def make_node(name):
@@ -74,7 +72,7 @@ class Controller:
         self.joints = OPTIONS['joints'].split(',') if OPTIONS['joints'] else joints
         self.node.declare_parameter('joints', self.joints)
         self.node.declare_parameter('interface_name', OPTIONS['interface'])
-        self.active = OPTIONS['active'] == '1'
+        self.active, self.loaded = OPTIONS['active'] == '1', True
         self.interface = [0.0] * len(self.joints)       # what the hardware holds
         self._buffer = None
         self._events = self._activity = None
@@ -112,9 +110,9 @@ class Controller:
         from controller_manager_msgs.msg import ControllerManagerActivity, NamedLifecycleState
         active = State(id=State.PRIMARY_STATE_ACTIVE, label='active')
         own = active if self.active else State(id=State.PRIMARY_STATE_INACTIVE, label='inactive')
-        self._activity.publish(ControllerManagerActivity(controllers=[
-            NamedLifecycleState(name='joint_state_broadcaster', state=active),
-            NamedLifecycleState(name='effort_controller', state=own)]))
+        listed = [NamedLifecycleState(name='joint_state_broadcaster', state=active),
+                  NamedLifecycleState(name='effort_controller', state=own)]
+        self._activity.publish(ControllerManagerActivity(controllers=listed[:1 + self.loaded]))
 
     def update(self):
         if not self.active or self._buffer is None:
@@ -152,7 +150,8 @@ class Robot:
 
     def do(self, message):
         word = message.data
-        if word in ('activate', 'deactivate'):
+        if word in ('activate', 'deactivate', 'unload'):
+            self._controller.loaded = word != 'unload'
             self._controller.change(word == 'activate')
         elif word == 'home':
             for plant in self._plants:
@@ -189,7 +188,7 @@ class Robot:
         if self._start is not None:
             given = dict(zip(self._controller.joints, held, strict=True))
             for joint, plant in zip(self._joints, self._plants, strict=True):
-                # One that another joint's controller commands is moved by a mistake.
+                # A controller of another joint would be seen to move it all the same.
                 plant.command(given.get(joint, held[0]), now - self._start)
         self._told.publish(String(data=json.dumps(
             [self._controller.active, number_or_list(held), number_or_list(x), now])))
@@ -207,8 +206,6 @@ class Robot:
         names = list(self._joints)
         if 'rename' in self._words:
             names[-1] = 'elbow'
-        elif 'twice' in self._words:
-            names[-1] = names[0]
         count = len(names) - ('part' in self._words)
         # The last axis first: an order of its own.
         names, x, speed = ([*values[:count]][::-1] for values in (names, x, speed))

@@ -6,6 +6,7 @@ import json
 import math
 from pathlib import Path
 import re
+import sys
 import time
 import types
 
@@ -19,8 +20,6 @@ from dz_ros.nodes.joint_sources import JointSources
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / 'config' / 'joint.yaml'
-STAND_IN = Path(__file__).with_name('ros2_control_stand_in.py')
-NODE = ('-m', 'dz_ros.nodes.main')
 
 
 def make(**driver):
@@ -220,6 +219,14 @@ def test_a_controller_that_is_not_to_be_asked_is_not():
     assert controller.problem() == ''
 
 
+def test_it_is_known_without_rclpy(processes):
+    found = processes(sys.executable, '-c',
+                      'import sys, dz_ros.nodes.joint_driver; print(*sys.modules)')
+    assert found.wait() == 0
+    assert 'dz_ros.nodes.joint_group' in found.output.split()
+    assert 'rclpy' not in found.output.split()
+
+
 def test_units_are_the_joint_s():
     assert (make().state_units, make().command_unit) == (('rad', 'rad/s'), 'N m')
     slide = make(unit='m', interface='velocity')
@@ -260,49 +267,11 @@ def test_limit_is_the_configured_one():
 
 # Everything as processes.
 
-class Robot:
-    """What the test says to the stand-in, and what the stand-in says of its hardware."""
-
-    def __init__(self, watcher):
-        from std_msgs.msg import String
-        self._watcher, self._string = watcher, String
-        self.interface = []     # (controller active, command that the hardware holds)
-        watcher.node.create_subscription(String, '/stand_in/interface', lambda message:
-                                         self.interface.append(json.loads(message.data)), 1000)
-        self._do = watcher.node.create_publisher(String, '/stand_in/do', 10)
-
-    def do(self, word):
-        self._watcher.wait(lambda: self._do.get_subscription_count() > 0)
-        self._do.publish(self._string(data=word))
-
-    @property
-    def held(self):
-        return self.interface[-1][1]
-
-
-@pytest.fixture
-def robot(watcher):
-    return Robot(watcher)
-
-
-def start(processes, watcher, robot, *more, kind='forward', active=True, options=()):
-    """Start stand-in and loop; return the loop's nodes once it runs."""
-    stand_in = processes(str(STAND_IN), CONFIG, kind, *options, PYTHONPATH=str(ROOT))
-    stand_in.wait_for_line('controllers are loaded')
-    if active:
-        robot.do('activate')
-        watcher.wait(lambda: robot.interface and robot.interface[-1][0])
-    nodes = {name: processes(*NODE, name, '--ros-args', '--params-file', CONFIG, *watcher.patient,
-                             *more)
-             for name in ('actuator_node', 'controller_node', 'trajectory_node')}
-    return nodes
-
-
 @pytest.mark.ros
 @pytest.mark.parametrize('measured', [2, 1])
 def test_the_adaptive_loop_tracks_through_the_controllers(
-        processes, watcher, robot, measured):
-    nodes = start(processes, watcher, robot, '-p', f'driver.measured:={measured}')
+        watcher, robot, measured):
+    nodes = robot.start('-p', f'driver.measured:={measured}')
     # The layer's bound is 8 mrad, less is usual at 200 Hz on a quiet machine.
     watcher.tracked(load_configuration(CONFIG).trajectory, 0.01)
     for node in nodes.values():
@@ -322,8 +291,8 @@ NO_USE = {
 
 
 @pytest.mark.ros
-def test_joint_states_of_no_use_are_a_fault_and_a_reset_goes_on(processes, watcher, robot):
-    start(processes, watcher, robot)
+def test_joint_states_of_no_use_are_a_fault_and_a_reset_goes_on(watcher, robot):
+    robot.start()
     for word, (back, reason) in NO_USE.items():
         watcher.running()
         robot.do(word)
@@ -341,9 +310,9 @@ def test_joint_states_of_no_use_are_a_fault_and_a_reset_goes_on(processes, watch
 
 @pytest.mark.ros
 def test_a_joint_of_another_name_never_starts_and_says_which_there_are(
-        processes, watcher, robot):
-    nodes = start(processes, watcher, robot, '-p', 'driver.joint:=knee',
-                  '-p', 'driver.patience:=10.0', options=['joints=knee'])
+        watcher, robot):
+    nodes = robot.start('-p', 'driver.joint:=knee', '-p', 'driver.patience:=10.0',
+                        options=['joints=knee'])
     watcher.wait_for_mode(actuator_node='fault')
     assert watcher.modes()['actuator_node'][1] == (
         "joint 'knee' is not among those of /joint_states: shoulder, joint1, wrist")
@@ -360,8 +329,8 @@ def test_a_joint_of_another_name_never_starts_and_says_which_there_are(
      "driver.interface = 'effort'"),
 ])
 def test_a_controller_of_another_joint_is_refused_before_anything_is_sent(
-        processes, watcher, robot, options, words):
-    nodes = start(processes, watcher, robot, options=options)
+        watcher, robot, options, words):
+    nodes = robot.start(options=options)
     watcher.wait_for_mode(actuator_node='fault')
     assert watcher.modes()['actuator_node'][1] == words
     assert not watcher.call('actuator_node/reset').success
@@ -373,8 +342,8 @@ def test_a_controller_of_another_joint_is_refused_before_anything_is_sent(
 
 @pytest.mark.ros
 def test_a_controller_that_leaves_active_is_a_fault_and_gets_the_safe_command_when_it_is_back(
-        processes, watcher, robot):
-    nodes = start(processes, watcher, robot)
+        watcher, robot):
+    nodes = robot.start()
     watcher.running()
     watcher.wait(lambda: abs(robot.held) > 0.3)
     robot.do('deactivate')
@@ -400,8 +369,8 @@ def test_a_controller_that_leaves_active_is_a_fault_and_gets_the_safe_command_wh
 
 
 @pytest.mark.ros
-def test_another_publisher_of_commands_is_a_fault_that_names_it(processes, watcher, robot):
-    start(processes, watcher, robot)
+def test_another_publisher_of_commands_is_a_fault_that_names_it(watcher, robot):
+    robot.start()
     watcher.running()
     rival = watcher.node.create_publisher(watcher.array, '/effort_controller/commands', 10)
     watcher.wait_for_mode(actuator_node='fault')
@@ -420,8 +389,8 @@ def test_another_publisher_of_commands_is_a_fault_that_names_it(processes, watch
 @pytest.mark.ros
 @pytest.mark.parametrize('measured', [2, 1])
 def test_another_publisher_of_the_joint_is_a_fault_that_names_it(
-        processes, watcher, robot, measured):
-    start(processes, watcher, robot, '-p', f'driver.measured:={measured}')
+        watcher, robot, measured):
+    robot.start('-p', f'driver.measured:={measured}')
     watcher.running()
     watcher.wait(lambda: watcher.states[-1][2] > 0.5)
     before = len(watcher.states)
@@ -437,9 +406,9 @@ def test_another_publisher_of_the_joint_is_a_fault_that_names_it(
 
 
 @pytest.mark.ros
-def test_frozen_values_with_running_stamps_end_at_the_error_limit(processes, watcher, robot):
+def test_frozen_values_with_running_stamps_end_at_the_error_limit(watcher, robot):
     limit = load_configuration(CONFIG).safety.error_limit
-    start(processes, watcher, robot, '-p', f'safety.error_limit:={limit}')
+    robot.start('-p', f'safety.error_limit:={limit}')
     watcher.running()
     watcher.wait(lambda: abs(watcher.states[-1][3]) < 1e-3)     # at rest
     robot.do('stuck')
@@ -460,8 +429,8 @@ def test_frozen_values_with_running_stamps_end_at_the_error_limit(processes, wat
 
 @pytest.mark.ros
 def test_commands_of_an_inactive_controller_do_nothing_and_are_forgotten(
-        processes, watcher, robot):
-    start(processes, watcher, robot, '-p', 'safety.error_limit:=0.5', active=False)
+        watcher, robot):
+    robot.start('-p', 'safety.error_limit:=0.5', active=False)
     # Nobody can tell but by the error that grows: that is what error_limit is for.
     watcher.wait_for_mode(controller_node='fault')
     assert watcher.modes()['controller_node'][1].startswith('error ')
@@ -475,9 +444,9 @@ def test_commands_of_an_inactive_controller_do_nothing_and_are_forgotten(
 
 @pytest.mark.ros
 def test_a_dead_process_leaves_the_last_command_in_the_controller(
-        processes, watcher, robot):
+        watcher, robot):
     # What docs/ros2_control.md warns of, and why the hardware needs a watchdog.
-    nodes = start(processes, watcher, robot)
+    nodes = robot.start()
     watcher.running()
     watcher.wait(lambda: robot.held != 0.0)
     nodes['actuator_node'].signal(9)
@@ -489,10 +458,8 @@ def test_a_dead_process_leaves_the_last_command_in_the_controller(
 
 
 @pytest.mark.ros
-def test_the_conformance_kit_finds_nothing_wrong(kit, processes, watcher, robot):
-    processes(str(STAND_IN), CONFIG, 'forward', PYTHONPATH=str(ROOT)).wait_for_line('controllers')
-    robot.do('activate')
-    watcher.wait(lambda: robot.interface and robot.interface[-1][0])
+def test_the_conformance_kit_finds_nothing_wrong(kit, watcher, robot):
+    robot.stand_in()
     found = kit('joint', '--config', CONFIG, '--set', 'driver.fresh=100', '--set',
                 'safety.command_hold=20')
     # ros2_control's controllers do not tell which command they hold.
@@ -502,9 +469,7 @@ def test_the_conformance_kit_finds_nothing_wrong(kit, processes, watcher, robot)
 
 @pytest.mark.ros
 def test_its_dead_zone_is_found(processes, watcher, robot, tmp_path):
-    processes(str(STAND_IN), CONFIG, 'forward', PYTHONPATH=str(ROOT)).wait_for_line('controllers')
-    robot.do('activate')
-    watcher.wait(lambda: robot.interface and robot.interface[-1][0])
+    robot.stand_in()
     for attempt in range(4):    # a machine that stalls may lose too many states for an answer
         out = tmp_path / f'found{attempt}'
         found = processes('-m', 'dz_ros', 'driver', 'identify', CONFIG, '--travel', '3', '--speed',
