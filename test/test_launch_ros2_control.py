@@ -146,7 +146,8 @@ def test_axes_of_one_command_topic_are_the_joints_of_one_controller(launch_file,
 def test_another_controller_manager_gives_its_namespace_to_controllers_and_topics(
         launch_file, tmp_path):
     mine = tmp_path / 'mine.yaml'
-    mine.write_text(AXES.replace('/turntable', '/left/turntable'))
+    mine.write_text(AXES.replace('/turntable', '/left/turntable').replace(
+        'joint: a,', 'joint: a, controller: turntable,'))
     spawner, end = spawned(actions(
         launch_file, spawn='arm', config=str(mine), namespace='left',
         controller_manager='left/manager'))
@@ -163,7 +164,9 @@ def test_another_controller_manager_gives_its_namespace_to_controllers_and_topic
             f'axes.{axis}.driver.{key}': value for axis in ('base', 'shoulder', 'elbow')
             for key, value in {'command_topic': '/left/arm/commands',
                                'state_topic': '/left/joint_states',
-                               'activity_topic': '/left/manager/activity'}.items()
+                               'activity_topic': '/left/manager/activity',
+                               'controller': '/left/turntable'}.items()
+            if (axis == 'base') == (key == 'controller') or key.endswith('_topic')
             if (axis, key) != ('base', 'command_topic')}
 
 

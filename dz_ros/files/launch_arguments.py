@@ -155,6 +155,8 @@ def of_manager(configuration: Configuration, manager: str) -> dict[str, str]:
     for prefix, driver in joint_axes(configuration).items():
         for key in ('command_topic', 'state_topic', 'controller'):
             name = getattr(driver, key)
+            if key == 'controller' and name.strip('/-'):
+                name = '/' + name.strip('/')    # as the driver takes it
             if name.startswith('/') and not name.startswith(f'{namespace}/'):
                 found[f'{prefix}driver.{key}'] = namespace + name
         found[f'{prefix}driver.activity_topic'] = f'{manager}/activity'
