@@ -161,8 +161,8 @@ class JointGroup:
 
     def give(self, place: int, v: float, safe: bool) -> None:
         """Take the command of a joint, the safe one or not; send when each has been given one."""
-        if place in self._given:        # the others got none: what there is
-            self._send()
+        if self._given and (place == 0 or place in self._given):
+            self._send()                # others were given none: what there is
         self._values[self._each[place].driver_parameters.joint] = v
         (self._safe.add if safe else self._safe.discard)(place)
         self._given.add(place)
@@ -255,14 +255,14 @@ class JointGroup:
 
 
 class _Round:
-    """The joints asked about one sample."""
+    """The joints asked about one sample; it begins with the first, or with one asked again."""
 
     def __init__(self) -> None:
         self._seen: set[int] = set()
 
     def begins(self, place: int) -> bool:
         """Return whether asking this joint begins another sample."""
-        begins = not self._seen or place in self._seen
+        begins = place == 0 or not self._seen or place in self._seen
         if begins:
             self._seen.clear()
         self._seen.add(place)

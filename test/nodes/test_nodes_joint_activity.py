@@ -127,4 +127,5 @@ def test_a_controller_that_was_never_activated_is_known_from_the_manager(
     watcher.wait_for_mode(actuator_node='fault')
     assert watcher.modes()['actuator_node'][1] == (
         'the controller /effort_controller is inactive: it takes no commands')
-    assert not watcher.states
+    watcher.wait(lambda: robot.interface)
+    assert {held for _, held, *_ in robot.interface} == {0.0}

@@ -70,12 +70,13 @@ class Published(list):
     """A publisher that keeps what it is given."""
 
     topic_name = '/effort_controller/commands'
+    listeners = 1
 
     def publish(self, message):
         self.append(list(message.data))
 
     def get_subscription_count(self):
-        return 1
+        return self.listeners
 
     def wait_for_all_acked(self, duration):
         return True
@@ -185,6 +186,26 @@ def test_a_driver_that_alone_is_given_commands_does_not_wait_for_ever(hosted):
     for v in (1.0, 2.0, 3.0):
         first.command(v, 0.0)
     assert node.published == [[1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
+    machine.each[2].command(4.0, 0.0)
+    del node.published[:]
+    machine.command((5.0, 6.0, 7.0), 0.0)       # a sample is one message again
+    assert node.published == [[3.0, 0.0, 4.0], [5.0, 6.0, 7.0]]
+
+
+def test_asking_one_joint_alone_does_not_tear_a_sample_apart(hosted):
+    machine, node = hosted()
+    machine.driver.states.receive(state(['joint1', 'joint2', 'joint3']), 1)
+    machine.measure(0.0)
+    machine.each[2].measure(0.005)
+    machine.recover()                   # which judges each joint twice
+    machine.driver.states.receive(
+        state(['joint1', 'joint2', 'joint3'], (2, 0), position=[5.0, 6.0, 7.0]), 2)
+    assert [x[0] for x in machine.measure(0.01)] == [5.0, 6.0, 7.0]
+    assert machine.fault() == ''
+    node.published.listeners = 0
+    assert machine.fault() == ('axes upper, fore, hand: no node subscribes to '
+                               '/effort_controller/commands: is the controller loaded?')
+
 
 
 def test_nothing_is_sent_before_the_controller_has_answered_again(hosted):
