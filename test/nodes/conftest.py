@@ -174,9 +174,10 @@ class Watcher(Operator):
         heard = len(self.heard['state'])
         self.wait(lambda: len(self.heard['state']) > heard + samples)
 
-    def tracked(self, trajectory, bound, samples=600):
+    def tracked(self, trajectory, bound, samples=600, x=2):
         """Wait for so many samples in a row whose median error is below a bound.
 
+        `x` is the place of the position in the message, of several axes in one of its rows.
         A busy machine may hold any process for long, so only what lasts is judged.
         """
         def good():
@@ -185,8 +186,8 @@ class Watcher(Operator):
                 return False
             if recent[0][1] > 20.0 and 'fault' in {mode for mode, _ in self.modes().values()}:
                 self.recovered()
-            errors = sorted(abs(data[2] - trajectory(data[1])[0]) for data in recent)
-            travel = max(data[2] for data in recent) - min(data[2] for data in recent)
+            errors = sorted(abs(data[x] - trajectory(data[1])[0]) for data in recent)
+            travel = max(data[x] for data in recent) - min(data[x] for data in recent)
             return errors[samples // 2] < bound and travel > 100.0 * bound
 
         self.running()
@@ -206,6 +207,53 @@ def watcher(ros_domain):
     made = Watcher()
     yield made
     made.close()
+
+
+STAND_IN = Path(__file__).with_name('ros2_control_stand_in.py')
+ROOT = Path(__file__).parents[2]
+JOINT = ROOT / 'config' / 'joint.yaml'
+
+
+class Robot:
+    """What a test says to ros2_control's stand-in, what that says of its hardware, the loop."""
+
+    def __init__(self, watcher, processes):
+        from std_msgs.msg import String
+        self._watcher, self._string, self._processes = watcher, String, processes
+        self.interface = []     # (controller active, command that the hardware holds)
+        watcher.node.create_subscription(String, '/stand_in/interface', lambda message:
+                                         self.interface.append(json.loads(message.data)), 1000)
+        self._do = watcher.node.create_publisher(String, '/stand_in/do', 10)
+
+    def do(self, word):
+        self._watcher.wait(lambda: self._do.get_subscription_count() > 0)
+        self._do.publish(self._string(data=word))
+
+    @property
+    def held(self):
+        return self.interface[-1][1]
+
+    def stand_in(self, kind='forward', active=True, options=(), config=JOINT, path=ROOT):
+        """Start the stand-in."""
+        self._processes(str(STAND_IN), config, kind, *options,
+                        PYTHONPATH=str(path)).wait_for_line('controllers are loaded')
+        if active:
+            self.do('activate')
+            self._watcher.wait(lambda: self.interface and self.interface[-1][0])
+
+    def start(self, *more, kind='forward', active=True, options=(), config=JOINT, path=ROOT):
+        """Start stand-in and loop; return the loop's nodes once they are started."""
+        self.stand_in(kind, active, options, config, path)
+        return {name: self._processes('-m', 'dz_ros.nodes.main', name, '--ros-args',
+                                      '--params-file', config, *self._watcher.patient, *more,
+                                      PYTHONPATH=str(path))
+                for name in ('actuator_node', 'controller_node', 'trajectory_node')}
+
+
+@pytest.fixture
+def robot(watcher, processes):
+    """The stand-in of ros2_control and the loop around it, not started."""
+    return Robot(watcher, processes)
 
 
 KIT_TIME_OUT = 300.0
