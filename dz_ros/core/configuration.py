@@ -277,6 +277,10 @@ class Configuration:
         for name, item in axes[1:]:
             check_alike(names[0], first, name, item)
         first.law.check_axes({name: item.law for name, item in axes})
+        for chosen in dict.fromkeys(item.driver_class for _, item in axes):
+            check = getattr(chosen, 'check_axes', None)     # `Undriven` has none
+            if check is not None:
+                check({name: item for name, item in axes if item.driver_class is chosen})
         model = type(first.plant)
         if issubclass(model, CoupledPlant) and model.axes != len(axes):
             raise ConfigurationError('loop.axes', list(names), f'must have {model.axes} axes: '

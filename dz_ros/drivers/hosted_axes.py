@@ -140,9 +140,13 @@ class HostedDrivers:
             report.add(item.report, name)
 
     def _joined(self, faults: Any) -> str:
-        """Return faults of the axes as one text."""
-        return '; '.join(f'axis {name}: {fault}'
-                         for name, fault in zip(self.names, faults, strict=True) if fault)
+        """Return faults of the axes as one text; axes of one device may have the same."""
+        found: dict[str, list[str]] = {}
+        for name, fault in zip(self.names, faults, strict=True):
+            if fault:
+                found.setdefault(fault, []).append(name)
+        return '; '.join(f'{"axis" if len(names) == 1 else "axes"} {", ".join(names)}: {fault}'
+                         for fault, names in found.items())
 
 
 def host(configuration: Configuration) -> Any:

@@ -165,7 +165,7 @@ def test_an_e_stop_is_left_by_a_reset_without_power_and_then_enabled(serial_devi
                                                                      until):
     serial_device()
     first = driver()
-    first.link.send(Wish(Request.ESTOP, 0, 0, first.hold_ms))
+    first.link.send(Wish(Request.ESTOP, (0,), (0,), first.hold_ms))
     until(lambda: mode(first) is Mode.ESTOP)
     first.close()
     second = make(serial_device.port, fresh=400, silence=5.0, patience=30.0, watchdog=1.0)

@@ -11,6 +11,7 @@ import pytest
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
 from dz_ros.core.loop.offline import simulate
+from dz_ros.core.records import State
 from dz_ros.recording.save import save_run
 
 TIME_OUT = 180.0
@@ -144,13 +145,15 @@ class Watcher(Operator):
         heard = len(self.heard['state'])
         self.wait(lambda: len(self.heard['state']) > heard + samples)
 
-    def tracked(self, trajectory, bound, samples=600):
-        """Wait for so many samples in a row whose median error is below a bound.
+    def tracked(self, trajectory, bound, samples=600, row=0):
+        """Wait for so many samples in a row whose median error is below a bound, of one axis.
 
         A busy machine may hold any process for long, so only what lasts is judged.
         """
+        width = len(State.labels(2))
+
         def good():
-            recent = self.states[-samples:]
+            recent = [data[row * width:] for data in self.states[-samples:]]
             if len(recent) < samples:
                 return False
             if recent[0][1] > 20.0 and 'fault' in {mode for mode, _ in self.modes().values()}:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from dz_ros.core.schema import parameter
 from dz_ros.drivers.freshness import fresh_parameter
-from dz_ros.drivers.serial.protocol import MAX_HOLD_MS, MAX_VALUES
+from dz_ros.drivers.serial.protocol import MAX_HOLD_MS, MAX_MOTORS, MAX_VALUES
 
 
 @dataclass(frozen=True)
@@ -18,6 +18,9 @@ class SerialParameters:
                           structural=True)
     baudrate: int = parameter(921600, 'bit/s', 'speed of the line; of no effect where a device is '
                               'on USB itself', minimum=1200, maximum=12_000_000, structural=True)
+    motor: int = parameter(-1, '1', 'which motor of the device it is, from 0; -1 = by the place '
+                           'of the axis among those at driver.port', minimum=-1,
+                           maximum=MAX_MOTORS - 1, structural=True)
     device_rate: float = parameter(1000.0, 'Hz', 'states per second; the newest is used',
                                    minimum=1.0, maximum=5000.0, structural=True)
     measured: int = parameter(0, '1', "how many of x, x', … are taken from the device; 0 = all; a "
