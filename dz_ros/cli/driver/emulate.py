@@ -23,8 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument('kind', nargs='?', metavar='KIND',
                         help='device; see --list')
-    add_configuration(parser)
-    parser.set_defaults(config=None)
+    add_configuration(parser, default=None, without='the shipped one named as KIND')
     parser.add_argument('--nodes', type=int, default=0, metavar='N',
                         help='emulate N devices, with the node ids of the axes of CONFIG, or 1 to '
                         'N (default: one for each axis)')
