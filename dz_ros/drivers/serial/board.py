@@ -88,12 +88,11 @@ class Board:
 
     def __init__(self, each: Sequence[Configuration]) -> None:
         shared: SerialParameters = each[0].driver_parameters
-        count = len(each)
         self.motors = motors_of(each)
         self._patience = shared.patience
         self._absolute = all(item.driver_parameters.absolute_encoder for item in each)
         self.link = Link(shared.port, shared.baudrate, round(1e6 / shared.device_rate),
-                         shared.silence, count)
+                         shared.silence, len(each))
         self.powered = False
         self.axes: dict[int, Axis] = {}
         self._wishes: dict[int, tuple[Request, int, int]] = {}

@@ -4,9 +4,9 @@
     v [actuator unit] = command_scale · counts        x^(i) = state_scales[i] · counts
 
 The device sends its state at a rate of its own, faster than the loop; each sample takes the
-newest. Each command carries how long it is valid, by default as long as the host
-itself holds one (`safety.command_hold`), so that the device goes to the safe command on its own
-where this process, the line or the machine has died.
+newest. Each command carries how long it is valid, by default as long as the host itself holds one
+(`safety.command_hold`), so that the device goes to the safe command on its own where this process,
+the line or the machine has died.
 
 The axes at one port are the motors of one device and share its `board`: what is measured of a
 sample is of one state, a fault of one motor stops all and is reported by its own axis.

@@ -99,8 +99,8 @@ class SerialEmulator(Emulator):
         self._names, self._each = zip(*self._axes(), strict=True)
         for fault in faults:
             if fault.device and fault.name != 'trip':
-                raise ConfigurationError('--fault', f'{fault.device}:{fault.name}', 'is one of '
-                                         'all motors; only trip has one')
+                raise ConfigurationError('--fault', f'{fault.device}:{fault.name}', 'is a fault '
+                                         'of the device; trip alone is one of a motor')
             self._motor(fault)
         self._cable = Cable(parameters.link, configuration.loop.seed)
         self._device: EmulationTarget | None = None
