@@ -27,7 +27,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.safety.health import Level, Report
 from dz_ros.drivers.contract import Driver
 from dz_ros.drivers.freshness import Freshness
-from dz_ros.drivers.serial.board import Board, check_device, measured_of, RefusedError
+from dz_ros.drivers.serial.board import Board, RefusedError
 from dz_ros.drivers.serial.link import Link
 from dz_ros.drivers.serial.protocol import (
     COUNT_LIMIT,
@@ -36,7 +36,7 @@ from dz_ros.drivers.serial.protocol import (
     MotorInfo,
     Request,
 )
-from dz_ros.drivers.serial.settings import SerialParameters
+from dz_ros.drivers.serial.settings import check_device, measured_of, SerialParameters
 from dz_ros.errors import DriverError
 
 

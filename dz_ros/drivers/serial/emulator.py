@@ -23,7 +23,6 @@ from dz_ros.core.plants.coupled import CoupledPlant
 from dz_ros.core.schema import parameter
 from dz_ros.drivers.emulators import Emulator, Fault
 from dz_ros.drivers.serial import tampering
-from dz_ros.drivers.serial.board import motors_of
 from dz_ros.drivers.serial.cable import Cable
 from dz_ros.drivers.serial.emulated_devices import EmulatedDevice, EmulationTarget, Program
 from dz_ros.drivers.serial.framing import Receiver
@@ -36,7 +35,7 @@ from dz_ros.drivers.serial.protocol import (
     Mode,
     Request,
 )
-from dz_ros.drivers.serial.settings import SerialParameters
+from dz_ros.drivers.serial.settings import motors_of, SerialParameters
 from dz_ros.errors import ConfigurationError
 
 SHARE = 0.01
