@@ -187,7 +187,7 @@ def test_written_files_are_what_ros_reads(name, tmp_path):
     path = tmp_path / 'p.yaml'
     write_parameters(configuration, path)
     text = path.read_text(encoding='utf-8')
-    assert '[]' not in text     # rcl refuses an empty array
+    assert '[]' not in text     # rcl refuses it to a node that declares all it is given
     written = yaml.safe_load(text)['/**']['ros__parameters']    # YAML 1.1, as other tools read it
     for key, value in configuration.to_flat().items():
         if configuration.axes and not parts(key)[0] and not is_machines(key):
@@ -227,6 +227,22 @@ def test_rcl_itself_reads_what_is_written(tmp_path, ros_domain):
             found = list(read[key]) if isinstance(value, list) else read[key]
             assert found == value, key
             assert type(found) is type(value), key
+
+
+def test_a_node_takes_an_empty_list_that_is_not_the_default(tmp_path, ros_domain):
+    rclpy = pytest.importorskip('rclpy', reason='needs rclpy')
+    from dz_ros.nodes.ros.parameters import configure
+    path = tmp_path / 'p.yaml'
+    write_parameters(load_configuration(None, ['loop.peers=[]']), path)
+    for words in (['--params-file', str(path)], ['-p', 'loop.peers:=[]']):
+        context = rclpy.Context()
+        rclpy.init(args=['--ros-args', *words], context=context)
+        try:
+            node = rclpy.create_node('reader', context=context)
+            assert configure(node, 'loop').loop.peers == ()
+            node.destroy_node()
+        finally:
+            rclpy.shutdown(context=context)
 
 
 WAYPOINTS = """# from the plotter
