@@ -337,7 +337,7 @@ def firmware_library(tmp_path_factory):
         f'-DDZ_MOTORS={motors}', 'dz_device.c', sanitized=True))
 
 
-SERIAL_AXES = ('x', 'y', 'z')
+SERIAL_AXES = ('pan', 'tilt', 'roll')
 """Axes behind the motors of a serial device."""
 
 

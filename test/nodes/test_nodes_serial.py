@@ -148,7 +148,7 @@ def test_the_conformance_kit_finds_nothing_wrong(kit, serial_device, ros_domain)
 
 # Several axes at one device.
 
-GOALS = {'x': 1.5, 'y': 1.3, 'z': -1.2}
+GOALS = {'pan': 1.5, 'tilt': 1.3, 'roll': -1.2}
 ALL = {f'axes.{axis}.trajectory.goal': goal for axis, goal in GOALS.items()}
 
 
@@ -176,7 +176,7 @@ def test_three_axes_track_through_one_line(machine, watcher):
     device, nodes = machine()
     watcher.running()
     configuration = load_configuration(CONFIG, [
-        'loop.axes=[x, y, z]', *(f'{key}={value}' for key, value in ALL.items())])
+        f'loop.axes=[{", ".join(GOALS)}]', *(f'{key}={value}' for key, value in ALL.items())])
     for row, axis in enumerate(configuration.each):
         watcher.tracked(axis.trajectory, 0.01, row=row)
     end(nodes)
@@ -184,11 +184,11 @@ def test_three_axes_track_through_one_line(machine, watcher):
 
 
 def test_a_trip_of_one_motor_stops_all_and_names_its_axis(machine, watcher):
-    device, nodes = machine('y:trip@3+2')
+    device, nodes = machine('tilt:trip@3+2')
     watcher.wait_for_mode(actuator_node='fault')
     said = watcher.modes()['actuator_node'][1]
     # On a busy machine a stall may be the first that is seen.
-    assert said == 'axis y: the device reports fault 7' or any(text in said for text in (
+    assert said == 'axis tilt: the device reports fault 7' or any(text in said for text in (
         'has tripped', 'no measurement', 'no command', 'sent nothing')), said
     device.wait_for_line('trip ends')
     lines = device.output.splitlines()
@@ -209,7 +209,7 @@ def test_a_device_that_dies_stops_every_axis_until_the_reset(machine, serial_dev
     device.wait()
     watcher.wait_for_mode(actuator_node='fault', controller_node='fault')
     said = watcher.modes()['actuator_node'][1]
-    assert 'axes x, y, z: ' in said
+    assert 'axes pan, tilt, roll: ' in said
     serial_device.port.unlink()         # what it left behind
     again = serial_device('restart@1000', motors=3)     # the script makes it log its modes
     again.wait_for_line('mode disabled')
