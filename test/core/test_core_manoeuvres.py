@@ -131,7 +131,7 @@ def test_files_are_what_ros_can_read(name):
 
 
 OFF = {'loop.axes', 'loop.schedule_values', 'loop.schedule_times', 'loop.schedule_topic',
-       'plant.backlash', 'plant.static_friction', 'plant.stribeck_speed', 'plant.stick_time',
+       'plant.derivative_resolution', 'driver.derivative_resolution', 'plant.backlash', 'plant.static_friction', 'plant.stribeck_speed', 'plant.stick_time',
        'controller.error_band', 'controller.regressors_at',
        *(f'plant.dead_zone.{item}' for item in (
            'edge_slope', 'edge_span', 'schedule_points', 'm_r_table', 'm_l_table', 'b_r_table',

@@ -87,11 +87,11 @@ def run(arguments: argparse.Namespace) -> int:
     out: Path = arguments.out
     check_port(arguments)
     guided = arguments.live and not arguments.yes
-    if arguments.live:
-        check_rclpy()
     if guided and arguments.until:
         raise ConfigurationError('--until', arguments.until, 'is not for --live without --yes: '
                                  'the steps are started in the page')
+    if arguments.live:
+        check_rclpy()
     if arguments.step is None:
         refuse_existing(out)
     elif not out.is_dir():
