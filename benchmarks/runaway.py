@@ -12,8 +12,8 @@ guard's model half and one and a half of them. Wrong sign: the
 controller itself drives the mock driver, whose commands act reversed from the first sample on, or
 from 10 s on; its command is limited to one and a half times what the healthy loop takes.
 
-Beside load: loops over topics with processes that compute all the time, at the priority of the loop,
-with half of the default runaway_time; first healthy ones, then the wrong sign.
+Beside load: loops over topics with processes that compute all the time, at the priority of the
+loop, with half of the default runaway_time; first healthy ones, then the wrong sign.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ import sys
 import tempfile
 from typing import Any
 
+from machine import describe
 import numpy as np
 
 from dz_ros.core.configuration import Configuration
@@ -45,7 +46,6 @@ from dz_ros.files.configurations import load_configuration, shipped_configuratio
 from dz_ros.recording.reader import read_run
 from dz_ros.studies.arena import Plan
 from dz_ros.studies.scenarios import base_configuration
-from machine import describe
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / 'docs' / 'safety.md'
@@ -63,8 +63,8 @@ BEGINS = (0.0, 10.0)
 BURNERS = 4
 """Processes that compute beside a loop."""
 LOADED = ('robust_eso', 'wang2004', 'servo', 'pendulum', 'first_order')
-"""Configurations that run beside them; a healthy loop of theirs is never against the command for as
-long as `STRICT`, by the first table."""
+"""Configurations that run beside them; a healthy loop of theirs is never against the command for
+as long as `STRICT`, by the first table."""
 STRICT = 0.5 * LIMIT
 """runaway_time beside load [s]."""
 OLD = 2.5

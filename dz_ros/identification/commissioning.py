@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The steps from a new device to a running loop, and the log of them (ours).
 
-Terminal and live page are two faces of them: `ABOUT` are the steps, `StepLog` is what was done, and
-`StepLog.overview` what a face shows of both. A folder holds a subfolder for each attempt of a step and one log, a JSON object a line. Nothing in
+Terminal and live page are two faces of them: `ABOUT` are the steps, `StepLog` is what was done,
+and `StepLog.overview` what a face shows of both.
+
+A folder holds a subfolder for each attempt of a step and one log, a JSON object a line. Nothing in
 it is ever changed: a step that is repeated is another attempt, and the steps after it use the
 newest result of each step before them. What is read from the log is data.
 """

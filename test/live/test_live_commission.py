@@ -94,7 +94,7 @@ def test_a_serial_device_ends_in_a_loop_that_tracks(commission, serial_device, a
         'serial', *settings(*PATIENT, *SERIAL, f'driver.port={serial_device.port}'), '--repeats',
         '8', '--ramp', '2', '--pause', '0.2', '--loop-duration', '12')
     assert page.evaluate(f"{item('sign')}.querySelector('button').disabled")
-    for value, words in ((2, "--effort = None: must be given"), ('far', "--travel = 'far'")):
+    for value, words in ((2, '--effort = None: must be given'), ('far', "--travel = 'far'")):
         fill(page, travel=value, speed=2, **({} if value == 2 else {'effort': 6}))
         begin(page, 'limits')
         page.until(f"""document.querySelector('#commission-answer').textContent
@@ -244,6 +244,7 @@ def test_what_cannot_be_done_now_is_refused_and_not_passed_on(ends, shown, reque
         page.ask(request_, pressed)
     page.estop()
     assert json.loads(other.recv(1000)) == {'do': 'estop'}      # and nothing before it
+    assert page.stopped
 
 
 def test_what_is_asked_is_passed_on_once(ends):

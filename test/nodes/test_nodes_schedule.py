@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A scheduling variable by a topic: law and simulated dead-zone follow what another process says."""
+"""A scheduling variable by a topic of another process: law and simulated dead-zone follow it."""
 
 import math
 
@@ -21,9 +21,10 @@ KNOWN = [f'controller.{name}={value}' for name, value in (
     ('b_r_known', '[44.0, 40.0, 32.0, 28.0]'), ('b_l_known', '[-44.0, -40.0, -32.0, -28.0]'),
     ('m_bounds', '[0.6, 1.25]'), ('b_r_bounds', '[26.0, 46.0]'), ('b_l_bounds', '[-46.0, -26.0]'),
     ('override_checks', 'true'))]
-SETTINGS = ['loop.schedule_values=[20.0]', 'loop.schedule_times=[]', f'loop.schedule_topic={TOPIC}',
-            *KNOWN, 'safety.state_hold=200', 'safety.command_hold=100', 'safety.echo_limit=200',
-            'safety.fault_after=4000', 'safety.runaway_time=0.0', 'plant.wave_force=0.0']
+SETTINGS = ['loop.schedule_values=[20.0]', 'loop.schedule_times=[]',
+            f'loop.schedule_topic={TOPIC}', *KNOWN, 'safety.state_hold=200',
+            'safety.command_hold=100', 'safety.echo_limit=200', 'safety.fault_after=4000',
+            'safety.runaway_time=0.0', 'plant.wave_force=0.0']
 
 
 @pytest.fixture

@@ -199,7 +199,7 @@ def test_numbers_beyond_the_largest_are_no_numbers():
 def test_columns_of_another_time_are_named():
     t = np.arange(50) * PERIOD
     columns = {'x': Column(np.sin(t), t), 'v': Column(t, t + 1e9)}
-    with pytest.raises(RecordingError, match='v has no number at the times of x0: .* 1000000000 '):
+    with pytest.raises(RecordingError, match=r'v has no number at the times of x0: .* 1000000000'):
         import_run(columns, {'x0': parse_source('x', None), 'v': parse_source('v', None)}, axis(),
                    False, 0)
 

@@ -2,8 +2,8 @@
 """``dz driver commission``: from a new device to a running loop, step by step.
 
 Every step prints what it found, is recorded, and can be repeated with ``--from STEP``, or in the
-page. At the terminal a step that fails ends it: exit code 1, or 2 where something that was given is
-wrong. With ``--live`` the steps are started and confirmed in the page (`commission_page`).
+page. At the terminal a step that fails ends it: exit code 1, or 2 where something that was given
+is wrong. With ``--live`` the steps are started and confirmed in the page (`commission_page`).
 """
 
 from __future__ import annotations

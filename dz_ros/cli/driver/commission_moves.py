@@ -107,7 +107,8 @@ def identify_step(state: State) -> Outcome:
     c = state.c
     experiment = Experiment(state.limits, state.answered.plan, c.plant.order, c.loop.period,
                             c.safety.safe_command)
-    samples = _moved(state, experiment, f'{state.answered.plan.repeats} times ramps and steps both ways')
+    samples = _moved(state, experiment,
+                     f'{experiment.plan.repeats} times ramps and steps both ways')
     try:
         found = identify(samples, c, experiment.moving)
     except RecordingError as error:

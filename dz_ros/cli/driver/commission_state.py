@@ -147,7 +147,7 @@ class State:
         return self.answered.limits
 
     def may_move(self, what: str, duration: float) -> None:
-        """Ask whether the device may move so, for at most so many s.
+        """Ask whether the device may move so, for at most a time [s].
 
         Raises:
             ConfigurationError: There is no terminal to ask at.

@@ -38,8 +38,9 @@ def noise_in_s(c: Configuration, measured: int, steps: Sequence[float]) -> float
         return None
     weights = error_weights(design.lambda_, n)
     if measured >= n:
+        noise = state_noise(c, steps)
         return math.sqrt(sum((weight * sigma) ** 2
-                             for weight, sigma in zip(weights, state_noise(c, steps), strict=True)))
+                             for weight, sigma in zip(weights, noise, strict=True)))
     observer = observer_of(c)
     linear = type(observer).linear(observer.omega, c.loop.period)
     if linear is None:

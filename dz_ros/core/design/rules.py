@@ -97,7 +97,8 @@ def check(configuration: Configuration, disturbance: float | None = None,
                  *check_guard(c, driver.measured, measured_steps(driver)),
                  *check_command_steps(c, getattr(driver, 'command_resolution', 0.0),
                                       driver.measured),
-                 *_stability(c, design, stability_limit, lost), *_uncovered(c, design, state_noise(c, measured_steps(driver))[-1])]
+                 *_stability(c, design, stability_limit, lost),
+                 *_uncovered(c, design, state_noise(c, measured_steps(driver))[-1])]
     return tuple(findings)
 
 

@@ -17,7 +17,7 @@ from dz_ros.errors import ConfigurationError, LoopError
 
 LARGEST = 1 << 20
 """Longest message [bytes]."""
-MOST = 100
+MAX_MESSAGES = 100
 """Most messages taken at once."""
 MAX_VALUES = 20
 """Most limits that a viewer may give."""
@@ -32,6 +32,7 @@ class Commissioning:
 
     Attributes:
         shown: The newest overview; empty = none yet.
+        stopped: Whether the e-stop was pressed in the page and not reset since.
 
     Raises:
         ConfigurationError: It is no such end.
@@ -44,6 +45,7 @@ class Commissioning:
             raise ConfigurationError('commissioning', descriptor, 'must be the socket of dz '
                                      f'driver commission ({error.strerror})') from None
         self.shown: dict[str, Any] = {}
+        self.stopped = False
         self._gone = False
 
     @property
@@ -54,7 +56,7 @@ class Commissioning:
     def news(self) -> list[dict[str, Any]]:
         """Return the messages for viewers that have come since the last time."""
         found: list[dict[str, Any]] = []
-        while not self._gone and len(found) < MOST:
+        while not self._gone and len(found) < MAX_MESSAGES:
             try:
                 text = self._socket.recv(LARGEST, socket.MSG_DONTWAIT)
             except BlockingIOError:
@@ -74,7 +76,12 @@ class Commissioning:
         return found
 
     def estop(self) -> None:
-        """Pass a press of the e-stop on."""
+        """Pass a press of the e-stop on; no step begins until `stopped` is cleared.
+
+        Raises:
+            LoopError: The other end does not take it.
+        """
+        self.stopped = True
         self._send({'do': 'estop'})
 
     def ask(self, request: Mapping[str, Any], pressed: bool) -> str:

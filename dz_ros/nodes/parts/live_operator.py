@@ -66,7 +66,9 @@ class LiveOperator:
     @property
     def pressed(self) -> bool:
         """Whether the e-stop was pressed, here or elsewhere, and no end has been reset since."""
-        return self._stopped or bool(self._estop.held_by())
+        commissioning = self._loop.commissioning
+        return (self._stopped or bool(self._estop.held_by())
+                or (commissioning is not None and commissioning.stopped))
 
     def spin(self) -> None:
         """Serve what has come."""
@@ -172,6 +174,8 @@ class LiveOperator:
                     refused[name] = answer.message
             if not refused:
                 self._stopped = False
+                if self._loop.commissioning is not None:
+                    self._loop.commissioning.stopped = False
                 return 'reset'
         raise LoopError('; '.join(f'{name}: {why}' for name, why in refused.items()))
 
