@@ -6,6 +6,9 @@ it (`loop.axes`); n sets run one axis each, every set in a namespace of its own.
 so that all kinds meet the same machine; CPU is that of plant, trajectory, controller and recorder.
 
     python benchmarks/axes.py [--axes 1 2 3 6 12] [--turns N] [--duration S] [--no-sets]
+    python benchmarks/axes.py --write            write the table into docs/axes.md as well
+
+A ratio is the median over the turns of that turn's own, with its 90 % interval.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ sys.path.insert(0, str(ROOT))
 
 from benchmarks.machine import describe  # noqa: E402
 from benchmarks.speed_kit.processes import cpu_ns, nodes_below  # noqa: E402
+from benchmarks.speed_kit.rows import in_turns, spread  # noqa: E402
 from benchmarks.speed_kit.running import (  # noqa: E402
     environment,
     judge,
@@ -42,6 +46,8 @@ from dz_ros.runs.axes import each_axis  # noqa: E402
 
 CPU_TARGET, TRIP_TARGET = 2.0, 1.5
 """Six axes take at most these multiples of one: CPU, median of the round trip."""
+PAGE = ROOT / 'docs' / 'axes.md'
+BEGIN, END = '<!-- cost: benchmarks/axes.py writes it -->', '<!-- end of cost -->'
 
 
 def words_of(directory: Path, axes: int = 1, namespace: str = '') -> list[str]:
@@ -119,36 +125,53 @@ def measure(counts: Sequence[int], turns: int, duration: float,
     return found
 
 
+def table(found: dict[tuple[int, bool], list[tuple[float, Measured]]]) -> tuple[list[str], bool]:
+    """Return the lines of the table, and whether six axes miss a target."""
+    lines = [f'Measured on {describe("ros-rclpy", "ros-rmw-fastrtps-cpp")}.', '',
+             '| axes | as | CPU [% of a core] | over one axis | round trip p50 [ms] '
+             '| over one axis | p99 [ms] | unanswered | lost | skipped |', f'|{"---|" * 10}']
+    one = [(share, statistics.median(item.round_trips)) for share, item in found[1, False]]
+    missed = False
+    for (count, apart), turns in found.items():
+        whole = Measured()
+        for _, item in turns:
+            whole.add(item)
+        trips = [statistics.median(item.round_trips) for _, item in turns]
+        rows = [in_turns('CPU', [share / own for (share, _), (own, _) in zip(turns, one,
+                                                                            strict=True)],
+                         CPU_TARGET),
+                in_turns('round trip', [trip / own for trip, (_, own) in zip(trips, one,
+                                                                             strict=True)],
+                         TRIP_TARGET)]
+        if count == 6 and not apart:
+            missed = any(row.missed for row in rows)
+        cpu, trip = (row.cells()[1] if count > 1 else '' for row in rows)
+        lines.append(
+            f'| {count} | {"sets of nodes" if apart else "one set"} '
+            f'| {100.0 * statistics.median(share for share, _ in turns):.0f} | {cpu} '
+            f'| {1e3 * statistics.median(trips):.2f} | {trip} '
+            f'| {1e3 * spread(whole.round_trips)["p99"]:.2f} '
+            f'| {whole.unanswered} | {whole.lost} | {whole.skipped} |')
+    return lines, missed
+
+
 def main() -> int:
     """Print the table; return 1 where six axes miss a target."""
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
     parser.add_argument('--axes', type=int, nargs='+', default=[1, 2, 3, 6, 12])
-    parser.add_argument('--turns', type=int, default=3)
-    parser.add_argument('--duration', type=float, default=8.0, help='of each turn [s]')
+    parser.add_argument('--turns', type=int, default=10)
+    parser.add_argument('--duration', type=float, default=5.0, help='of each turn [s]')
     parser.add_argument('--no-sets', action='store_true', help='leave out the sets of nodes')
+    parser.add_argument('--write', action='store_true', help=f'write the table into {PAGE.name}')
     arguments = parser.parse_args()
     counts = sorted({1, *arguments.axes})
-    found = measure(counts, arguments.turns, arguments.duration, not arguments.no_sets)
-    print(f'\nMeasured on {describe("ros-rclpy", "ros-rmw-fastrtps-cpp")}.\n')
-    print('| axes | as | CPU [% of a core] | over one axis | round trip p50 [ms] | over one axis '
-          '| p99 [ms] | unanswered | lost | skipped |')
-    print('|---|---|---|---|---|---|---|---|---|---|')
-    one_share, one_trip = 0.0, 0.0
-    missed = False
-    for (count, apart), turns in found.items():
-        share = statistics.median(share for share, _ in turns)
-        whole = Measured()
-        for _, item in turns:
-            whole.add(item)
-        trips = sorted(whole.round_trips)
-        p50, p99 = trips[len(trips) // 2], trips[int(0.99 * len(trips))]
-        if count == 1:
-            one_share, one_trip = share, p50
-        if count == 6 and not apart:
-            missed = share > CPU_TARGET * one_share or p50 > TRIP_TARGET * one_trip
-        print(f'| {count} | {"sets of nodes" if apart else "one set"} | {100.0 * share:.0f} '
-              f'| {share / one_share:.2f} | {1e3 * p50:.2f} | {p50 / one_trip:.2f} '
-              f'| {1e3 * p99:.2f} | {whole.unanswered} | {whole.lost} | {whole.skipped} |')
+    lines, missed = table(measure(counts, arguments.turns, arguments.duration,
+                                  not arguments.no_sets))
+    print('', *lines, sep='\n')
+    if arguments.write:
+        head, _, rest = PAGE.read_text(encoding='utf-8').partition(BEGIN)
+        PAGE.write_text('\n'.join([f'{head}{BEGIN}\n', *lines, f'\n{END}'])
+                        + rest.partition(END)[2], encoding='utf-8')
     return int(missed)
 
 

@@ -21,6 +21,7 @@ from typing import Any
 from machine import describe
 
 ROOT = Path(__file__).resolve().parent.parent
+IMAGES = ROOT / 'docs' / 'images'
 EXAMPLES = {
     'wang2004': "the paper's example, plant (19) as printed",
     'robust_eso': 'the same with the recommended law',
@@ -31,7 +32,19 @@ EXAMPLES = {
     'valve_actuator': 'a third-order valve-controlled actuator',
     'step': "a step shaped by a reference model, on the paper's plant",
     'axis': 'a driven mass with friction and a constant force, as identified from a log',
+    'thruster': 'a vehicle moved by one thruster, whose dead-zone and slopes follow the voltage',
+    'six_axes': 'six servos, each with a dead-zone of its own, in one loop',
+    'two_link_arm': 'an arm of two joints, coupled, by the coupled law',
+    'rov_planar': 'surge, sway and yaw of a vehicle with four thrusters',
 }
+
+PICTURES = {
+    'tracking': 'Output and reference of {name} over time',
+    'error': 'Tracking error of {name} over time',
+    'compare_error': 'Tracking errors of the axes of {name} over time',
+    'compare_command': 'Commands of the axes of {name} over time',
+}
+"""Pictures of a report, of one axis or of several → what they show."""
 
 
 def dz(*words: str) -> str:
@@ -53,7 +66,10 @@ def measure(name: str, folder: Path) -> dict[str, Any]:
 
 
 def row(name: str, found: dict[str, Any]) -> str:
-    """Return the table's line of one run."""
+    """Return the table's line of one run, of several axes a line for each."""
+    if 'axes' in found:
+        return '\n'.join(row(f'{name}: {axis}', of_axis)
+                         for axis, of_axis in found['axes'].items())
     metrics, topics = found['metrics'], found['timing']['topics']
     missing = sum(topic['missing'] for topic in topics.values())
     window = '{:.0f} to {:.0f} s'.format(*metrics['window'])
@@ -81,9 +97,10 @@ def main() -> int:
             rows[name] = row(name, measure(name, Path(folder)))
             print(rows[name], flush=True)
             if arguments.write:
-                for picture in ('tracking', 'error'):
-                    shutil.copy(Path(folder) / f'{name}-report' / f'{picture}.png',
-                                ROOT / 'docs' / 'images' / f'{name}_{picture}.png')
+                report = Path(folder) / f'{name}-report'
+                for kind in PICTURES:
+                    if (report / f'{kind}.png').exists():
+                        shutil.copy(report / f'{kind}.png', IMAGES / f'{name}_{kind}.png')
     if arguments.write:
         write(machine, rows)
     return 0
@@ -99,9 +116,10 @@ def write(machine: str, rows: dict[str, str]) -> None:
              'sources, is in its configuration: `config/`. The timing columns depend on what else '
              'the machine was doing.', '']
     for name in rows:
-        lines += [f'## {name}: {EXAMPLES[name]}', '', f'`dz run {name}`', '',
-                  f'![Output and reference of {name} over time](images/{name}_tracking.png)', '',
-                  f'![Tracking error of {name} over time](images/{name}_error.png)', '']
+        lines += [f'## {name}: {EXAMPLES[name]}', '', f'`dz run {name}`', '']
+        for kind, shown in PICTURES.items():
+            if (IMAGES / f'{name}_{kind}.png').exists():
+                lines += [f'![{shown.format(name=name)}](images/{name}_{kind}.png)', '']
     (ROOT / 'docs' / 'examples.md').write_text('\n'.join(lines))
 
 

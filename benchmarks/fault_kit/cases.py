@@ -500,7 +500,7 @@ CASES = (
         ('device to host cut for 3 s', ('mute', '3')),
         ('bad contact for 3 s', ('intermittent', '3')),
         ('echo of a command never sent', ('unsent', '1')),
-        ('says another mode', ('mode', '1')),
+        ('reports another mode', ('mode', '1')),
         ('another device at the port for 3 s', ('swap', '3')),
         ('device restarts', ('restart', '0')))),
     Case('serial: each state twice for 4 s', RIDE, device_fault, device=('double', '4')),

@@ -174,12 +174,6 @@ def _number(cell: str, path: Path, line: int, name: str) -> float:
                              ) from None
 
 
-def bag_topics(source: Source) -> tuple[str, ...]:
-    """Return the topics of a bag."""
-    source.outline()
-    return tuple(topic.name for topic in source.topics.values())
-
-
 def read_bag(source: Source, wanted: Sequence[str]) -> Columns:
     """Return columns of a bag.
 

@@ -2,6 +2,7 @@
 """The report of a run of several axes: a summary with a column for each, and a page for each.
 
 OUT/report.html          verdict, numbers side by side, differences of the configurations
+OUT/compare_….png        its pictures, one line for each axis
 OUT/AXIS/report.html     the report of that axis, as of a run of it alone
 """
 
@@ -13,7 +14,7 @@ from pathlib import Path
 
 from dz_ros.core.dataset import RunData
 from dz_ros.report import page
-from dz_ros.report.compare import compare, overlaid
+from dz_ros.report.compare import compare, overlaid, QUANTITIES
 from dz_ros.report.report import PAGE, write_files, write_report
 from dz_ros.report.verdict import judge
 
@@ -49,11 +50,11 @@ def write_axes_report(runs: Mapping[str, RunData], out: Path, *,
     links = ''.join(f'<li><a href="{escape(name, quote=True)}/{PAGE}">{page.text(name)}</a></li>'
                     for name in heads)
     differing = comparison.differences()
+    drawn = [(picture, picture.png()) for picture in overlaid(comparison)]
     content = page.page(title, lead + f'<p>Reports of the axes:</p><ul>{links}</ul>', [
         ('Numbers', page.table(['', *heads], comparison.rows(),
                                numbers=range(1, len(heads) + 1))),
-        ('Pictures', ''.join(page.image(picture, picture.png())
-                             for picture in overlaid(comparison))),
+        ('Pictures', ''.join(page.image(picture, data) for picture, data in drawn)),
         ('Verdicts', ''.join(page.folded(f'axis {name}', verdict.html())
                              for name, verdict in verdicts.items())),
         ('Configurations', page.table(['', *heads], differing,
@@ -63,5 +64,8 @@ def write_axes_report(runs: Mapping[str, RunData], out: Path, *,
     for name, run in runs.items():
         write_report(run, out / name, without_dead_zone=without_dead_zone[name],
                      title=f'{title}, axis {name}', window=window, pulse=pulse)
-    write_files(out, {PAGE: content.encode()})
+    files = {f'{picture.name}.png': data for picture, data in drawn}
+    write_files(out, {**files, PAGE: content.encode()},
+                [f'compare_{name}.png' for name, *_ in QUANTITIES
+                 if f'compare_{name}.png' not in files])
     return out / PAGE

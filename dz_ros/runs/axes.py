@@ -49,6 +49,8 @@ def axis_run(run: RunData, axis: str) -> RunData:
         RecordingError: The run has no such axis, or a topic with messages of others.
     """
     names = run.axes
+    if not names and list(run.configuration.get('loop.axes') or ()) == [axis]:
+        return run      # the messages of one axis do not name it
     if axis not in names:
         known = f'it has {", ".join(names)}' if names else 'it is of one axis, without a name'
         raise RecordingError(f'the run has no axis {axis}: {known}{suggestion(axis, names)}')

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from dz_ros.recording.reader import read_run
+from dz_ros.runs.axes import each_axis
 
 pytest.importorskip('aiohttp', reason='aiohttp is not installed: no page to serve')
 playwright = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
@@ -273,3 +274,35 @@ def test_no_serious_finding_on_accessibility_of_a_running_loop(
     for section in ('controller', 'trajectory'):
         page.click(f'#section-{section} summary')
     assert axe(page) == []
+
+
+def test_an_axis_is_chosen_and_what_is_done_is_of_that_axis(open_page, processes, ros_domain,
+                                                             tmp_path):
+    pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+    run = tmp_path / 'run'
+    process = processes(*DZ, 'run', 'six_axes', '--duration', '600', '--quiet', '--live',
+                        '--record', run, '--set', 'safety.fault_after=4000')
+    page = open_page(process.wait_for_line('live page:').split()[-1])
+    wait_live(page)
+    names = [item.strip() for item in page.locator('#axis option').all_inner_texts()]
+    assert names == ['base', 'shoulder', 'elbow', 'roll', 'pitch', 'yaw']
+    assert page.input_value('#axis') == 'base'
+    page.select_option('#axis', 'yaw')
+    page.until("dzRos.app.hello.axis === 'yaw'")
+    wait_live(page)
+    assert page.input_value('#axis') == 'yaw'
+    page.fill('input[name="plant.dead_zone.b_r"]', '0.31')
+    page.click('#section-plant button[type=submit]')
+    playwright.expect(page.locator('#section-plant .answer')).to_contain_text('has taken')
+    page.until("""() => { const {data, count} = dzRos.app.stores[0];
+        return Math.abs(data.zone_high[count - 1] - 0.31) < 1e-6; }""")
+    page.click('#estop')
+    page.until("document.querySelector('#state-word').innerText === 'E-STOP'")
+    process.interrupt()
+    each = each_axis(read_run(run))
+    assert list(each) == names
+    for name, data in each.items():
+        stated = [json.loads(text)['configuration'] for _, _, text in data.events
+                  if '"owns": ["loop", "plant"' in text]
+        assert (stated[-1]['plant.dead_zone.b_r'] == 0.31) == (name == 'yaw'), name
+        assert data.channels['truth']['w'][-1] == 0.0, name      # one e-stop for all

@@ -77,6 +77,8 @@ def test_what_is_of_one_axis_refuses_several(read):
         axis_run(read[0], 'jaw')
     with pytest.raises(RecordingError, match='of one axis, without a name'):
         axis_run(RunData({}), 'yaw')
+    one = RunData({}, {'loop.axes': ['yaw']})       # its messages do not name the axis
+    assert axis_run(one, 'yaw') is one
 
 
 def test_events_state_the_configuration_of_the_axis(machine):

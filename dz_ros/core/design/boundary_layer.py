@@ -29,11 +29,6 @@ def chatter_limit(delay: int) -> float:
     return 2.0 * math.sin(math.pi / (2.0 * (2 * delay + 1)))
 
 
-def loop_gain(slope: float, beta: float, period: float) -> float:
-    """Return g, the share of the error that one sample corrects [1], of a slope K + Λ_v,n φ̂."""
-    return slope * beta * period
-
-
 def automatic_epsilon(k_star: float, k_d: float, lead: float, beta: float, period: float,
                       delay: int, margin: float) -> float:
     """Return ε = k* / (f μ_d/(β T) − k_d − Λ_v,n φ̂), the layer for a design delay.

@@ -8,8 +8,6 @@ is brought to the sample by a velocity, they are not, and q = 0 means that no st
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,21 +19,6 @@ NEAR, SHARE = 0.05, 0.95
 """Distance from a whole number of steps, and the share of changes that must be as near."""
 LEAST = 20
 """Fewer changes show no step."""
-
-
-@dataclass(frozen=True)
-class Sensor:
-    """What was seen of a sensor.
-
-    Attributes:
-        resolution: One step of x [unit of x]; 0 = none shows.
-        noise: Standard deviation of x, x' … at rest, shape (m,).
-        missing: Share of samples without a measurement.
-    """
-
-    resolution: float
-    noise: tuple[float, ...]
-    missing: float
 
 
 def resolution(x: Array) -> float:
