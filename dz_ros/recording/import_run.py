@@ -99,10 +99,10 @@ def import_run(columns: Mapping[str, Column], sources: Mapping[str, Source], c: 
                for name, values in clean.items()}
     for name, values in signals.items():
         if not np.isfinite(values).any():
-            times = clean[name][0]
+            rows = clean[name][0]
             raise RecordingError(
-                f'{name} has no number at the times of x0: its rows are from {times[0]:.10g} to '
-                f'{times[-1]:.10g} s, those of x0 from {base[0]:.10g} to {base[-1]:.10g} s '
+                f'{name} has no number at the times of x0: its rows are from {rows[0]:.10g} to '
+                f'{rows[-1]:.10g} s, those of x0 from {base[0]:.10g} to {base[-1]:.10g} s '
                 '(messages without a header have the times at which they were recorded)')
     holes = np.zeros(len(t), dtype=bool) if not resample else _in_gaps(base, t + base[0])
     if holes.any():
