@@ -191,6 +191,17 @@ def test_a_wrong_sign_stops_and_is_stated_in_the_page(commission):
 
 
 @pytest.mark.ros
+def test_with_yes_the_steps_go_on_by_themselves(processes, ros_domain, tmp_path):
+    pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+    out = tmp_path / 'first'
+    process = processes(*DZ, 'driver', 'commission', 'servo', '--set', 'plant.x0=[0.0, 0.0]',
+                        '--travel', '1.5', '--speed', '1', '--effort', '4', '--yes', '--live',
+                        '--until', 'sensor', '--out', out)
+    assert process.wait() == 0, process.output
+    assert [found['step'] for found in log(out)] == ['limits', 'sign', 'sensor']
+
+
+@pytest.mark.ros
 def test_without_the_token_nothing_can_be_started(commission):
     page, process, out = commission('servo', '--travel', '1', '--speed', '1', '--effort', '4',
                                     whole_address=False)
