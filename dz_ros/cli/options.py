@@ -21,17 +21,21 @@ from dz_ros.files.configurations import (
 
 def add_configuration(parser: argparse.ArgumentParser,
                       namespace: str = 'whose sections of CONFIG count, where it has some of '
-                      'several loops') -> None:
+                      'several loops', default: str | None = 'robust_eso',
+                      without: str = '') -> None:
     """Declare CONFIG, --duration, --set and --namespace.
 
     Args:
         parser: Of the verb.
         namespace: What the ROS namespace of the loop is used for.
+        default: CONFIG where none is given.
+        without: What is taken where there is no default, for the help.
     """
+    shown = default or without
     config = parser.add_argument(
-        'config', nargs='?', default='robust_eso', metavar='CONFIG',
+        'config', nargs='?', default=default, metavar='CONFIG',
         help='configuration file, or the name of one that comes with dz_ros, see dz list '
-             'configurations (default: %(default)s)')
+             'configurations' + (f' (default: {shown})' if shown else ''))
     config.completer = _complete_configuration  # type: ignore[attr-defined]  # argcomplete's
     parser.add_argument('--duration', metavar='S',
                         help='length of the run [s], short for --set loop.duration=S')

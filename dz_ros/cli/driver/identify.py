@@ -48,8 +48,7 @@ from dz_ros.identification.samples import to_run
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     add_configuration(parser, 'where the e-stop is, whose topics of RUN and sections of CONFIG '
-                      'count')
-    parser.set_defaults(config=None)
+                      'count', default=None)
     add_limits(parser, 'limits of the moves, in the units of the driver')
     parser.add_argument('--yes', action='store_true', help='do not ask before it moves')
     parser.add_argument('--from', type=Path, metavar='RUN', dest='run',
