@@ -12,6 +12,7 @@ import pytest
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
 from dz_ros.core.loop.offline import simulate
+from dz_ros.core.records import State
 from dz_ros.recording.save import save_run
 
 TIME_OUT = 180.0
@@ -174,13 +175,15 @@ class Watcher(Operator):
         heard = len(self.heard['state'])
         self.wait(lambda: len(self.heard['state']) > heard + samples)
 
-    def tracked(self, trajectory, bound, samples=600):
-        """Wait for so many samples in a row whose median error is below a bound.
+    def tracked(self, trajectory, bound, samples=600, row=0):
+        """Wait for so many samples in a row whose median error is below a bound, of one axis.
 
         A busy machine may hold any process for long, so only what lasts is judged.
         """
+        width = len(State.labels(2))
+
         def good():
-            recent = self.states[-samples:]
+            recent = [data[row * width:] for data in self.states[-samples:]]
             if len(recent) < samples:
                 return False
             if recent[0][1] > 20.0 and 'fault' in {mode for mode, _ in self.modes().values()}:
@@ -206,6 +209,53 @@ def watcher(ros_domain):
     made = Watcher()
     yield made
     made.close()
+
+
+STAND_IN = Path(__file__).with_name('ros2_control_stand_in.py')
+ROOT = Path(__file__).parents[2]
+JOINT = ROOT / 'config' / 'joint.yaml'
+
+
+class Robot:
+    """What a test says to ros2_control's stand-in, what that says of its hardware, the loop."""
+
+    def __init__(self, watcher, processes):
+        from std_msgs.msg import String
+        self._watcher, self._string, self._processes = watcher, String, processes
+        self.interface = []     # (controller active, command that the hardware holds)
+        watcher.node.create_subscription(String, '/stand_in/interface', lambda message:
+                                         self.interface.append(json.loads(message.data)), 1000)
+        self._do = watcher.node.create_publisher(String, '/stand_in/do', 10)
+
+    def do(self, word):
+        self._watcher.wait(lambda: self._do.get_subscription_count() > 0)
+        self._do.publish(self._string(data=word))
+
+    @property
+    def held(self):
+        return self.interface[-1][1]
+
+    def stand_in(self, kind='forward', active=True, options=(), config=JOINT, path=ROOT):
+        """Start the stand-in."""
+        self._processes(str(STAND_IN), config, kind, *options,
+                        PYTHONPATH=str(path)).wait_for_line('controllers are loaded')
+        if active:
+            self.do('activate')
+            self._watcher.wait(lambda: self.interface and self.interface[-1][0])
+
+    def start(self, *more, kind='forward', active=True, options=(), config=JOINT, path=ROOT):
+        """Start stand-in and loop; return the loop's nodes once they are started."""
+        self.stand_in(kind, active, options, config, path)
+        return {name: self._processes('-m', 'dz_ros.nodes.main', name, '--ros-args',
+                                      '--params-file', config, *self._watcher.patient, *more,
+                                      PYTHONPATH=str(path))
+                for name in ('actuator_node', 'controller_node', 'trajectory_node')}
+
+
+@pytest.fixture
+def robot(watcher, processes):
+    """The stand-in of ros2_control and the loop around it, not started."""
+    return Robot(watcher, processes)
 
 
 KIT_TIME_OUT = 300.0
