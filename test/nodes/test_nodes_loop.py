@@ -18,13 +18,12 @@ from dz_ros.files.configurations import load_configuration
 from dz_ros.recording.reader import read_run
 from dz_ros.replay.audit.audit import audit
 
-rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
 
 DZ = ('-m', 'dz_ros')
 NODE = ('-m', 'dz_ros.nodes.main')
 CONFIG = Path(__file__).parents[2] / 'config'
-NEWEST = rclpy.qos.QoSProfile(depth=1, reliability=rclpy.qos.ReliabilityPolicy.BEST_EFFORT)
 
 
 def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
@@ -99,6 +98,7 @@ def same_as_offline(data, samples, offline):
 @pytest.mark.parametrize('frozen', ['controller_node', 'trajectory_node'])
 def test_what_is_sent_again_in_lockstep_changes_nothing(processes, children, operator, samples,
                                                         tmp_path, frozen):
+    from dz_ros.nodes.ros.topics import NEWEST
     run = processes(*DZ, 'run', 'zhang_feng1997', '--lockstep', '--duration', '0', '--record',
                     tmp_path / 'run')
     # The newest one alone: the loop is faster than a node that receives all of them.
