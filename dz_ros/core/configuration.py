@@ -117,6 +117,14 @@ class Configuration:
     set_aside: tuple[str, ...] = field(default=())
     axes: tuple[tuple[str, Configuration], ...] = field(default=())
 
+    def __repr__(self) -> str:
+        """Return one line: what runs, how fast, how long; `to_flat` has every key."""
+        if self.axes:
+            return f'<Configuration of axes {", ".join(self.axis_names)}, {self.loop.rate:g} Hz>'
+        end = f'{self.loop.duration:g} s' if self.loop.duration else 'without end'
+        return (f'<Configuration {self.law.name} on {self.plant.name}, {self.trajectory.name}, '
+                f'{self.loop.rate:g} Hz, {end}>')
+
     @property
     def axis_names(self) -> tuple[str, ...]:
         """Names of the axes; empty: one without a name."""
@@ -283,6 +291,10 @@ class Configuration:
         for name, item in axes[1:]:
             check_alike(names[0], first, name, item)
         first.law.check_axes({name: item.law for name, item in axes})
+        for chosen in dict.fromkeys(item.driver_class for _, item in axes):
+            check = getattr(chosen, 'check_axes', None)     # `Undriven` has none
+            if check is not None:
+                check({name: item for name, item in axes if item.driver_class is chosen})
         model = type(first.plant)
         if issubclass(model, CoupledPlant) and model.axes != len(axes):
             raise ConfigurationError('loop.axes', list(names), f'must have {model.axes} axes: '

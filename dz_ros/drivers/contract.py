@@ -59,6 +59,19 @@ class Driver(ABC):
         self.configuration = configuration
 
     @classmethod
+    def check_axes(cls, axes: Mapping[str, Configuration]) -> None:
+        """Check that the axes of a machine that name this class can have it together.
+
+        Called when a configuration is made, by every verb; anything goes unless overridden.
+
+        Args:
+            axes: Name → configuration, each as of a loop of this axis alone.
+
+        Raises:
+            ConfigurationError: They cannot: two of them name one device.
+        """
+
+    @classmethod
     def for_axes(cls, each: Sequence[Configuration]) -> Sequence[Driver]:
         """Return the drivers of all axes of a machine that name this class, in their order.
 
