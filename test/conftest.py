@@ -251,6 +251,22 @@ def processes() -> Iterator[StartProcess]:
             process.end()
 
 
+@pytest.fixture
+def cluster(processes: StartProcess) -> tuple[str, list[Process]]:
+    """Start a dask.distributed scheduler and two workers; return address and workers."""
+    pytest.importorskip('distributed', reason='dask.distributed is not installed: no cluster')
+    scheduler = processes('-m', 'distributed.cli.dask_scheduler', '--host', '127.0.0.1', '--port',
+                          '0', '--no-dashboard')
+    line = scheduler.wait_for_line('Scheduler at:')
+    address = line.rpartition(' ')[2].strip()
+    workers = [processes('-m', 'distributed.cli.dask_worker', address, '--nthreads', '1',
+                         '--no-nanny', '--no-dashboard', '--name', f'worker{i}')
+               for i in range(2)]
+    for worker in workers:
+        worker.wait_for_line('Registered to')
+    return address, workers
+
+
 class SmallDisk:
     """A file system of a few kilobytes that only programs started by `enter` see by its path.
 

@@ -120,7 +120,8 @@ class ParameterFiles:
             with tempfile.TemporaryFile() as file:
                 descriptor = os.dup(file.fileno())
         self._descriptors.append(descriptor)
-        os.write(descriptor, text.encode())
+        with os.fdopen(descriptor, 'wb', closefd=False) as whole:   # or an error, never a part
+            whole.write(text.encode())
         return f'{_DESCRIPTORS}{descriptor}'
 
     def add_parameters(self, parameters: Mapping[str, Any]) -> str:

@@ -117,6 +117,14 @@ class Configuration:
     set_aside: tuple[str, ...] = field(default=())
     axes: tuple[tuple[str, Configuration], ...] = field(default=())
 
+    def __repr__(self) -> str:
+        """Return one line: what runs, how fast, how long; `to_flat` has every key."""
+        if self.axes:
+            return f'<Configuration of axes {", ".join(self.axis_names)}, {self.loop.rate:g} Hz>'
+        end = f'{self.loop.duration:g} s' if self.loop.duration else 'without end'
+        return (f'<Configuration {self.law.name} on {self.plant.name}, {self.trajectory.name}, '
+                f'{self.loop.rate:g} Hz, {end}>')
+
     @property
     def axis_names(self) -> tuple[str, ...]:
         """Names of the axes; empty: one without a name."""

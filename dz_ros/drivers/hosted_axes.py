@@ -80,7 +80,12 @@ class HostedDrivers:
                 raise DriverError(f'axis {name}: {error}') from error
 
     def disable(self, v: Sequence[float], t: float) -> str:
-        """Send the safe commands and disable all; return what went wrong."""
+        """Send the safe commands, to all before one is waited for, and disable all.
+
+        Returns:
+            What went wrong.
+        """
+        self.safe(v, t)
         return self._joined(item.disable(own, t)
                             for item, own in zip(self.each, v, strict=True))
 
@@ -140,7 +145,7 @@ class HostedDrivers:
             report.add(item.report, name)
 
     def _joined(self, faults: Any) -> str:
-        """Return faults of the axes as one text; axes of one device may have the same."""
+        """Return faults of the axes as one text; what is the same of several, once."""
         found: dict[str, list[str]] = {}
         for name, fault in zip(self.names, faults, strict=True):
             if fault:

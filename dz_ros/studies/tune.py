@@ -34,7 +34,8 @@ from dz_ros.core.design.along_reference import disturbance_along_reference
 from dz_ros.core.design.boundary_layer import chatter_limit
 from dz_ros.core.design.linear_loop import largest_gain
 from dz_ros.core.design.observation import sensor_noise
-from dz_ros.core.design.rules import dead_zone_bound, derives_epsilon, least_robust_gain
+from dz_ros.core.design.robust_gain import dead_zone_bound, least_robust_gain
+from dz_ros.core.design.rules import derives_epsilon
 from dz_ros.core.design.stability import lambda_limit
 from dz_ros.core.laws.base import Design
 from dz_ros.core.laws.robust_eso_rules import (

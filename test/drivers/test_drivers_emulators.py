@@ -23,6 +23,8 @@ EMULATE = ('-m', 'dz_ros', 'driver', 'emulate')
     ('unplug@2', Fault('unplug', 2.0)),
     ('unplug@2.5+0.25', Fault('unplug', 2.5, 0.25)),
     ('corrupt@0+1=0.5', Fault('corrupt', 0.0, 1.0, 0.5)),
+    ('left_arm:unplug@2', Fault('unplug', 2.0, device='left_arm')),
+    ('3:corrupt@2=0.5', Fault('corrupt', 2.0, value=0.5, device='3')),
 ])
 def test_faults_are_read(text, expected):
     found = Fault.parse(text, KNOWN)
@@ -50,6 +52,31 @@ def test_mistakes_are_named(text, words):
 def test_a_fault_lasts_as_long_as_it_says():
     fault = Fault('unplug', 1.0, 0.5)
     assert [fault.active(t) for t in (0.99, 1.0, 1.49, 1.5)] == [False, True, True, False]
+
+
+def test_an_emulator_of_one_device_refuses_several():
+    class One(Emulator):
+        name = 'one'
+        open = run = close = None
+
+    axes = Configuration.from_flat({'loop.axes': ['surge', 'yaw']})
+    with pytest.raises(ConfigurationError, match='one emulates a device of one axis; choose it'):
+        One.of_axes(None, axes, 0, ())
+    with pytest.raises(ConfigurationError, match=r'--nodes = 2: one emulates one device'):
+        One.of_axes(None, Configuration.from_flat({}), 2, ())
+
+
+@pytest.mark.parametrize(('words', 'text'), [
+    (['cia402', '--fault', '2:emcy@1'], 'there is one device, no 2'),
+    (['cia402', '--nodes', '2', '--fault', '3:emcy@1'], 'the drives are 1, 2'),
+    (['cia402', 'cia402_axes', '--fault', 'wrist:emcy@1'], 'the drives are base, shoulder'),
+    (['cia402', 'cia402_axes', '--nodes', '2'], 'must be 3, that of loop.axes'),
+    (['cia402', '--nodes', '-1'], 'must be from 1 to 126')])
+def test_devices_that_are_not_there_are_one_line(words, text, capsys):
+    assert main(['driver', 'emulate', *words]) == 2
+    error = capsys.readouterr().err
+    assert text in error
+    assert error.count('\n') == 1
 
 
 @pytest.mark.parametrize('name', [name for name, found in EMULATORS.all().items()

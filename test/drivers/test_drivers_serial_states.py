@@ -183,6 +183,15 @@ def test_a_state_that_is_repeated_is_no_measurement_long_before_the_device_is_gi
     assert report.level == 2
 
 
+def test_a_device_that_falls_silent_has_not_refused_the_command_on_its_way(liar, running, until):
+    driver = running(silence=3.0)
+    liar.hears = lambda frame: False
+    until(passed(liar, 3), driver, V)       # none of which any state will answer
+    liar.change = lambda state: []
+    until(driver.fault, driver, V)
+    assert driver.fault() == 'the device has sent nothing for 3 s'
+
+
 def honest(liar, name, link):
     """Make of an honest device one with a peculiarity that is no fault."""
     if name == 'every state twice':

@@ -318,11 +318,11 @@ def test_waypoints_that_are_not_there(tmp_path):
                                   if not load_configuration(name).make_driver().lockstep])
 def test_a_device_whose_measurement_stands_still_is_noticed(name):
     """Wherever it stands, the reference goes further away from it than the limit."""
-    configuration = load_configuration(name)
-    limit = configuration.safety.error_limit
-    x_d = [configuration.trajectory(k * 0.05)[0] for k in range(400)]
-    assert 0.0 < limit < (max(x_d) - min(x_d)) / 2.0
-    assert abs(configuration.x0[0] - x_d[0]) < limit      # yet it can start
+    for configuration in load_configuration(name).each:
+        limit = configuration.safety.error_limit
+        x_d = [configuration.trajectory(k * 0.05)[0] for k in range(400)]
+        assert 0.0 < limit < (max(x_d) - min(x_d)) / 2.0
+        assert abs(configuration.x0[0] - x_d[0]) < limit      # yet it can start
 
 
 def test_every_driver_of_a_device_has_such_a_configuration():

@@ -14,7 +14,9 @@ from dz_ros.cli.check import format_findings, stability_limit
 from dz_ros.cli.driver.commission_state import Outcome, State, StepFailedError
 from dz_ros.cli.driver.identify_moves import ask_to_move
 from dz_ros.cli.driver.identify_output import proposal_lines
+from dz_ros.cli.options import read_recording
 from dz_ros.cli.output import print_lines
+from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.finding import ERROR, WARNING, worst
 from dz_ros.core.design.rules import check
@@ -46,18 +48,18 @@ def propose_step(state: State) -> Outcome:
     Raises:
         StepFailedError: No gains keep the design rules.
     """
-    from dz_ros.recording.reader import read_run
-
     if state.identified is None:
-        run = read_run(state.of('identify') / 'run')
+        run = read_recording(state.of('identify') / 'run')
         try:
-            samples, found = identify_log(run, state.c)
+            with stage('finding the dead-zone'):
+                samples, found = identify_log(run, state.c)
+                state.identified = found, refine_identified(found, samples, state.c)[0]
         except RecordingError as error:
             raise StepFailedError(str(error)) from error
-        state.identified = found, refine_identified(found, samples, state.c)[0]
     found, fitted = state.identified
     try:
-        proposal, notes = propose(first_motion(state), found, fitted)
+        with stage('proposing gains'):
+            proposal, notes = propose(first_motion(state), found, fitted)
     except ConfigurationError as error:
         raise StepFailedError(str(error)) from error
     path = state.folder / PROPOSED
@@ -150,7 +152,6 @@ def loop_step(state: State) -> Outcome:
         StepFailedError: It does not, or the loop ends in a fault.
     """
     from dz_ros.cli.main import parser_of
-    from dz_ros.recording.reader import read_run
     from dz_ros.report.verdict import judge
     from dz_ros.report.view import View
 
@@ -173,7 +174,7 @@ def loop_step(state: State) -> Outcome:
     sys.stdout.flush()
     if not directory.exists():
         raise StepFailedError(f'the loop did not start, exit code {code}')
-    view = View.of(read_run(directory))
+    view = View.of(read_recording(directory))
     verdict, unit = judge(view), c.make_driver().state_units[0]
     rows = view.rows
     tail = np.abs(rows.error[rows.t >= view.metrics.window[0], 0])
@@ -192,9 +193,10 @@ def loop_step(state: State) -> Outcome:
 
 def report_step(state: State) -> Outcome:
     """Write the report of the newest loop."""
-    from dz_ros.recording.reader import read_run
     from dz_ros.report.report import write_report
 
     run = state.of('loop') / 'run'
-    page = write_report(read_run(run), state.folder / 'report', title=run.parent.name)
+    data = read_recording(run)
+    with stage('drawing pictures') as step:
+        page = write_report(data, state.folder / 'report', title=run.parent.name, progress=step)
     return Outcome(f'report: {page}', {'page': str(page.relative_to(state.log.folder))})

@@ -77,7 +77,7 @@ def move(c: Configuration, experiment: Experiment, namespace: str,
         DriverError: The device fails, or it was stopped: the safe command has been sent.
     """
     lockstep = c.driver_class.lockstep
-    progress = Progress(experiment.plan.repeats, what='repeats')
+    progress = Progress(experiment.plan.repeats, 'repeats')
     with stop_on_signals() as stopping, stop_on_estop(stopping, lockstep, namespace):
         wait = (lambda seq: seq) if lockstep else _pacer(c.loop.period, stopping)
 

@@ -70,10 +70,12 @@ MEMORY = max(item.size for item in OBSERVERS.values())
 """Numbers of memory that any observer has."""
 
 
-def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity) -> Loop:
+def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity,
+              outer: Callable[[Any], Any] = identity) -> Loop:
     """Return the function that runs this combination of law, plant and trajectory.
 
-    Their numbers are arguments of it; `jit` compiles every function, the identity leaves Python.
+    Their numbers are arguments of it; `jit` compiles every function it calls, `outer` itself, the
+    identity leaves Python.
     """
     advance = make_advance(configuration.plant.regressors, configuration.plant.disturbance, jit,
                            configuration.plant.sticking)
@@ -147,7 +149,7 @@ def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity
                 advance(x, held, t, h, substeps, plant, zone_numbers, y, k1, k2, k3, stage,
                         push)
 
-    function: Loop = jit(loop)
+    function: Loop = outer(loop)
     return function
 
 

@@ -200,8 +200,10 @@ class Link:
         """Greet a device that has not answered yet, or does no more."""
         if self._state is not None:
             with self._news:
-                silent = now - self._state[1] > self._silence
-                if silent or self.monitor.outstanding(now) > self._silence:
+                arrived = self._state[1]
+                silent = now - arrived > self._silence
+                # Only a state shows that a command has no answer; without one it is silence.
+                if silent or self.monitor.outstanding(arrived) > self._silence:
                     stale = self.monitor.stale
                     what = (f'{stale}: nothing new' if stale else 'the device has sent nothing'
                             if silent else 'the device has taken no command')

@@ -16,6 +16,7 @@ from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
@@ -29,6 +30,8 @@ from dz_ros.nodes.ros.parameters import PARAMETER_TYPES
 
 SERVICE_TIMEOUT = 5.0
 """Longest wait for a service [s]."""
+RELEASE_TIMEOUT = 1.0
+"""Longest wait until all have received a release; a node that has died never will [s]."""
 PULSE_LEAD = 0.1
 """A disturbance pulse begins this long after the request, so that the plant has it by then [s]."""
 MAX_PULSE_DURATION = 10.0
@@ -94,6 +97,15 @@ class LiveOperator:
             self._mine = False
             self._estop.publish(False)
 
+    async def _released(self, stops: int) -> None:
+        """Release this page's press; wait until the ends have that, which would refuse a reset."""
+        self._release()
+        until, publisher = time.monotonic() + RELEASE_TIMEOUT, self._estop.publisher
+        while not publisher.wait_for_all_acked(Duration()) and time.monotonic() < until:
+            await asyncio.sleep(0.004)
+            self.receive_estop()
+            self._loop.still(stops)
+
     def estop(self, viewer: str) -> dict[str, Any]:
         """Press the e-stop."""
         self.stops += 1
@@ -138,7 +150,7 @@ class LiveOperator:
 
     async def _reset(self, stops: int) -> str:
         """Release e-stop and faults, the actuator's end first; ask nodes that refuse twice."""
-        self._release()
+        await self._released(stops)
         nodes = self._serving('reset', 'std_srvs/srv/Trigger')
         controller = self._loop.owners.get('controller')
         nodes.sort(key=lambda name: name == controller)
