@@ -90,7 +90,7 @@ class Driver(ABC):
         return self.configuration.plant.order
 
     @property
-    def shared(self) -> bool:
+    def device_shared(self) -> bool:
         """Whether its device is that of other axes too: no host of this axis alone can have it."""
         return False
 

@@ -108,7 +108,7 @@ class Serial(Driver):
             1.0 if self._info is None else self._info.command_scale)
 
     @property
-    def shared(self) -> bool:
+    def device_shared(self) -> bool:
         """Whether the device has motors of other axes."""
         return len(self._board.motors) > 1
 
