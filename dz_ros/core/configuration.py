@@ -151,6 +151,12 @@ class Configuration:
         return found
 
     @property
+    def quanta(self) -> tuple[float, ...]:
+        """Steps in which the simulated states are measured [state units], shape (n,); 0 = none."""
+        n, settings = self.plant.order, self.plant_settings
+        return (settings.resolution, *settings.derivative_resolution, *(0.0,) * n)[:n]
+
+    @property
     def zone_numbers(self) -> tuple[float, ...]:
         """Numbers of the dead-zone for `dz_ros.core.deadzone.dead_zone`, with the schedule."""
         return self.dead_zone.numbers(self.loop.schedule)
@@ -353,6 +359,10 @@ class Configuration:
             raise ConfigurationError('plant.x0', list(x0), f'must have {plant.order} numbers, one '
                                      'for each state')
         noise = settings.noise if len(settings.noise) > 1 else settings.noise * plant.order
+        if len(settings.derivative_resolution) >= max(plant.order, 1):
+            raise ConfigurationError(
+                'plant.derivative_resolution', list(settings.derivative_resolution),
+                f'must have at most {plant.order - 1} values for {plant.name}')
         if len(noise) != plant.order:
             raise ConfigurationError('plant.noise', list(noise), 'must have 1 or '
                                      f'{plant.order} numbers')

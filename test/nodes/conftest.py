@@ -12,6 +12,7 @@ import pytest
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
 from dz_ros.core.loop.offline import simulate
+from dz_ros.core.records import State
 from dz_ros.recording.save import save_run
 
 TIME_OUT = 180.0
@@ -174,20 +175,21 @@ class Watcher(Operator):
         heard = len(self.heard['state'])
         self.wait(lambda: len(self.heard['state']) > heard + samples)
 
-    def tracked(self, trajectory, bound, samples=600, x=2):
-        """Wait for so many samples in a row whose median error is below a bound.
+    def tracked(self, trajectory, bound, samples=600, row=0):
+        """Wait for so many samples in a row whose median error is below a bound, of one axis.
 
-        `x` is the place of the position in the message, of several axes in one of its rows.
         A busy machine may hold any process for long, so only what lasts is judged.
         """
+        width = len(State.labels(2))
+
         def good():
-            recent = self.states[-samples:]
+            recent = [data[row * width:] for data in self.states[-samples:]]
             if len(recent) < samples:
                 return False
             if recent[0][1] > 20.0 and 'fault' in {mode for mode, _ in self.modes().values()}:
                 self.recovered()
-            errors = sorted(abs(data[x] - trajectory(data[1])[0]) for data in recent)
-            travel = max(data[x] for data in recent) - min(data[x] for data in recent)
+            errors = sorted(abs(data[2] - trajectory(data[1])[0]) for data in recent)
+            travel = max(data[2] for data in recent) - min(data[2] for data in recent)
             return errors[samples // 2] < bound and travel > 100.0 * bound
 
         self.running()

@@ -25,7 +25,7 @@ from dz_ros.core.design.command_steps import check_command_steps
 from dz_ros.core.design.finding import ERROR, Finding, INFO, WARNING
 from dz_ros.core.design.guard_noise import check_guard
 from dz_ros.core.design.linear_loop import largest_beta, largest_gain, spectral_radius
-from dz_ros.core.design.observation import check_observer
+from dz_ros.core.design.observation import check_observer, measured_steps, state_noise
 from dz_ros.core.design.robust_gain import RobustGain
 from dz_ros.core.laws.base import Design
 from dz_ros.core.tracking import guaranteed_bounds
@@ -65,10 +65,11 @@ def check(configuration: Configuration, disturbance: float | None = None,
     findings += [*check_projection(c, design), *_robust_gain(c, design, disturbance),
                  *_target(c, design), *_chatter(c, design, complaints),
                  *check_observer(c, driver.measured, driver.resolution),
-                 *check_guard(c, driver.measured, driver.resolution),
+                 *check_guard(c, driver.measured, measured_steps(driver)),
                  *check_command_steps(c, getattr(driver, 'command_resolution', 0.0),
                                       driver.measured),
-                 *_stability(c, design, stability_limit, lost), *_uncovered(c, design)]
+                 *_stability(c, design, stability_limit, lost),
+                 *_uncovered(c, design, state_noise(c, measured_steps(driver))[-1])]
     return tuple(findings)
 
 
@@ -220,13 +221,13 @@ def _stability(c: Configuration, design: Design, limit: float | None,
                   f'is lost{refused} above λ = {limit:.3g}', numbers, change)
 
 
-def _uncovered(c: Configuration, design: Design) -> Iterator[Finding]:
-    """Return what the theorem does not cover."""
+def _uncovered(c: Configuration, design: Design, sigma: float) -> Iterator[Finding]:
+    """Return what the theorem does not cover; sigma: of the measured x^(n−1)."""
     limit = c.plant_settings.command_limit
     gaps = ['sampling and loop delay']
-    if any(c.noise):
+    if any(c.noise) or sigma > 0.0:
         gaps.append('measurement noise (v shows '
-                    f'{(design.gain + design.lead) * c.noise[-1]:.3g} of it)')
+                    f'{(design.gain + design.lead) * sigma:.3g} of it)')
     if limit > 0.0:
         gaps.append(f'saturation at {limit:g}')
     if c.plant_settings.backlash > 0.0:

@@ -118,6 +118,17 @@ class Serial(Driver):
         return measured_of(self.configuration)
 
     @property
+    def resolution(self) -> float:
+        """One count of x [unit of x]; 0 = what the device states, once open."""
+        return super().resolution or next(iter(self._scales or self.parameters.state_scales), 0.0)
+
+    @property
+    def derivative_resolution(self) -> tuple[float, ...]:
+        """One count of x', x'', … [state units]; empty = what the device states, once open."""
+        known = (self._scales or self.parameters.state_scales)[:self.measured]
+        return super().derivative_resolution or known[1:]
+
+    @property
     def command_resolution(self) -> float:
         """One count of the command [actuator unit]; 0 = what the device states, once open."""
         known = self.parameters.command_scale if self._info is None else self._command_scale
