@@ -215,7 +215,10 @@ def _results(arguments: argparse.Namespace, subject: Subject) -> Iterator[Result
                                          lambda: stopping.reason, subject.driver):
                 opened &= result.name != 'opens' or result.passed is not False
                 yield result
-        if find_spec('rclpy') is None:
+        if subject.driver is not None and subject.driver.device_shared:
+            yield Result('as a node', None, 'not tried', 'as in docs/topics.md',
+                         'its device is that of other axes too')
+        elif find_spec('rclpy') is None:
             yield Result('as a node', None, 'not tried', 'as in docs/topics.md',
                          'rclpy is not installed here')
         elif opened:
