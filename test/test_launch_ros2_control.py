@@ -70,7 +70,7 @@ def test_defaults_start_the_loop_alone(launch_file):
 def test_arguments_reach_every_node(launch_file, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     file = tmp_path / 'mine.yaml'
-    file.write_text('')
+    file.write_text('driver: {name: joint}\n')
     nodes = loop_of(actions(launch_file, config=str(file), duration='60', record='relative',
                             joint='1', namespace='left'))
     assert list(nodes) == [*NODES, 'recorder_node']
@@ -103,6 +103,7 @@ def test_controllers_are_those_of_the_joint_that_is_driven(
     *names, flag, file = spawner['arguments']
     assert names == ['joint_state_broadcaster', 'effort_controller']
     assert flag == '--param-file'
+    assert spawner['namespace'] == ''
     shipped = yaml.safe_load(CONTROLLERS.read_text(encoding='utf-8'))
     expected = {**shipped['effort_controller']['ros__parameters'],
                 'joints': [joint], 'interface_name': interface}
@@ -112,6 +113,76 @@ def test_controllers_are_those_of_the_joint_that_is_driven(
     # The same joint reaches the driver.
     settings = loop_of(end(Ended(0), Context()))['actuator_node']['parameters'][1]
     assert settings.get('driver.joint', joint) == joint
+
+
+AXES = """
+loop: {axes: [base, shoulder, elbow]}
+driver: {name: joint, command_topic: /arm/commands}
+axes:
+  base: {driver: {joint: a, command_topic: /turntable/commands, interface: velocity}}
+  shoulder: {driver: {joint: b}}
+  elbow: {driver: {joint: c}}
+"""
+
+
+def test_axes_of_one_command_topic_are_the_joints_of_one_controller(launch_file, tmp_path):
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text(AXES)
+    spawner, end = spawned(actions(
+        launch_file, spawn='joint_state_broadcaster,arm,turntable', config=str(mine)))
+    found = yaml.safe_load(Path(spawner['arguments'][-1]).read_text(encoding='utf-8'))
+    kind = 'forward_command_controller/ForwardCommandController'
+    assert found['arm'] == {'ros__parameters': {
+        'type': kind, 'joints': ['b', 'c'], 'interface_name': 'effort'}}
+    assert found['turntable'] == {'ros__parameters': {
+        'type': kind, 'joints': ['a'], 'interface_name': 'velocity'}}
+    manager = found['controller_manager']['ros__parameters']
+    assert manager['arm'] == manager['turntable'] == {'type': kind}
+    assert 'effort_controller' not in (manager | found)
+    settings = loop_of(end(Ended(0), Context()))['actuator_node']['parameters'][1]
+    assert set(settings) == {'loop.peers', 'driver.name'}
+
+
+def test_another_controller_manager_gives_its_namespace_to_controllers_and_topics(
+        launch_file, tmp_path):
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text(AXES.replace('/turntable', '/left/turntable').replace(
+        'joint: a,', 'joint: a, controller: turntable,'))
+    spawner, end = spawned(actions(
+        launch_file, spawn='arm', config=str(mine), namespace='left',
+        controller_manager='left/manager'))
+    name, flag, manager, _, file = spawner['arguments']
+    assert (spawner['namespace'], name, flag, manager) == (
+        '/left', 'arm', '--controller-manager', '/left/manager')
+    found = yaml.safe_load(Path(file).read_text(encoding='utf-8'))
+    assert set(found) == {f'/left/{item}' for item in (
+        'controller_manager', 'joint_state_broadcaster', 'arm', 'turntable')}
+    for node in loop_of(end(Ended(0), Context())).values():
+        assert node['namespace'] == 'left'
+        settings = node['parameters'][1]
+        assert {key: value for key, value in settings.items() if key.startswith('axes.')} == {
+            f'axes.{axis}.driver.{key}': value for axis in ('base', 'shoulder', 'elbow')
+            for key, value in {'command_topic': '/left/arm/commands',
+                               'state_topic': '/left/joint_states',
+                               'activity_topic': '/left/manager/activity',
+                               'controller': '/left/turntable'}.items()
+            if (axis == 'base') == (key == 'controller') or key.endswith('_topic')
+            if (axis, key) != ('base', 'command_topic')}
+
+
+def test_the_manager_of_one_joint_is_given_by_its_keys(launch_file):
+    settings = loop_of(actions(launch_file, controller_manager='/manager'))[
+        'actuator_node']['parameters'][1]
+    assert {key: value for key, value in settings.items() if key.startswith('driver.')} == {
+        'driver.name': 'joint', 'driver.activity_topic': '/manager/activity'}
+
+
+def test_one_joint_is_none_of_several_axes(launch_file, tmp_path):
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text(AXES)
+    with pytest.raises(RuntimeError, match='joint:=d: the loop has the axes base, shoulder, '
+                       r'elbow: name their joints in its file, axes\.NAME\.driver\.joint'):
+        actions(launch_file, config=str(mine), joint='d')
 
 
 def test_a_parameter_file_of_the_user_is_left_alone(launch_file, tmp_path):
@@ -135,6 +206,8 @@ def test_a_spawner_that_fails_stops_the_launch(launch_file):
     ('duration', 'long', 'must be a number of seconds, at least 0'),
     ('config', 'none_of_that_name', 'no such file; shipped configurations: '),
     ('namespace', '-', 'must be a namespace of ROS'),
+    ('controller_manager', 'left/', 'must be the name of a node'),
+    ('controller_manager', '/', 'must be the name of a node'),
     ('spawn', 'effort controller', "'effort controller' is no name of ROS"),
     ('controllers', '/no/such.yaml', 'no such file'),
     ('record', str(ROOT), 'exists already'),

@@ -95,6 +95,11 @@ class Driver(ABC):
         return self.configuration.driver_settings.resolution
 
     @property
+    def derivative_resolution(self) -> tuple[float, ...]:
+        """One step of x', x'', … as they are measured [state units]; 0, or fewer = not known."""
+        return self.configuration.driver_settings.derivative_resolution
+
+    @property
     def command_resolution(self) -> float:
         """One step of the command that the device takes [command unit]; 0 = not known, or none."""
         return self.configuration.driver_settings.command_resolution

@@ -145,7 +145,7 @@ class HostedDrivers:
             report.add(item.report, name)
 
     def _joined(self, faults: Any) -> str:
-        """Return faults of the axes as one text; axes of one device may have the same."""
+        """Return faults of the axes as one text; what is the same of several, once."""
         found: dict[str, list[str]] = {}
         for name, fault in zip(self.names, faults, strict=True):
             if fault:

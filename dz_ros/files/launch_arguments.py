@@ -15,6 +15,7 @@ from typing import Any
 
 import yaml
 
+from dz_ros.core.axes_keys import AXES
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.driven import DRIVERS
 from dz_ros.errors import ConfigurationError, LaunchArgumentError
@@ -68,6 +69,14 @@ class LaunchArguments:
         """Return a namespace of ROS, or nothing."""
         return self._matching(name, self.text(name), NAMESPACE, 'must be a namespace of ROS: '
                               'letters, digits and _, no digit first, joined by /')
+
+    def node(self, name: str) -> str:
+        """Return the full name of a node, or nothing."""
+        word = self._matching(name, self.text(name), NAMESPACE, 'must be the name of a node: '
+                              'letters, digits and _, no digit first, joined by /')
+        if word.endswith('/'):
+            raise self.wrong(name, 'must be the name of a node')
+        return f'/{word.strip("/")}' if word else ''
 
     def names(self, name: str) -> list[str]:
         """Return topics or nodes, separated by commas."""
@@ -123,13 +132,47 @@ class LaunchArguments:
         return word
 
 
-def joint_controllers(template: Path, configuration: Configuration, folder: Path) -> Path:
-    """Write the parameter file of the controllers for the joint of a configuration.
+def joint_axes(configuration: Configuration) -> dict[str, Any]:
+    """Return prefix of keys → parameters of each driver `joint`; '' of a loop of one axis."""
+    return {f'{AXES}.{name}.' if name else '': item.driver_parameters
+            for name, item in configuration.axes or (('', configuration),)
+            if item.driver_settings.name == 'joint'}
+
+
+def of_manager(configuration: Configuration, manager: str) -> dict[str, str]:
+    """Return the settings of the drivers `joint` for another controller manager.
+
+    Args:
+        configuration: Of the loop.
+        manager: Full name of the manager's node. Its controllers and its broadcaster are in its
+            namespace, so absolute names that are not get it.
+
+    Returns:
+        Dotted key → name.
+    """
+    namespace = manager.rpartition('/')[0]
+    found = {}
+    for prefix, driver in joint_axes(configuration).items():
+        for key in ('command_topic', 'state_topic', 'controller'):
+            name = getattr(driver, key)
+            if key == 'controller' and name.strip('/-'):
+                name = '/' + name.strip('/')    # as the driver takes it
+            if name.startswith('/') and not name.startswith(f'{namespace}/'):
+                found[f'{prefix}driver.{key}'] = namespace + name
+        found[f'{prefix}driver.activity_topic'] = f'{manager}/activity'
+    return found
+
+
+def joint_controllers(template: Path, configuration: Configuration, folder: Path,
+                      namespace: str = '') -> Path:
+    """Write the parameter file of the controllers for the joints of a configuration.
 
     Args:
         template: Parameter file with the section `effort_controller`.
-        configuration: Its driver, `joint`, names joint, interface and controller.
+        configuration: Its drivers `joint` name joint, interface and controller; joints of one
+            command topic are those of one controller, in the order of the axes.
         folder: Where the file goes.
+        namespace: That of the controllers, as /left; '' = none.
 
     Returns:
         The file.
@@ -137,18 +180,24 @@ def joint_controllers(template: Path, configuration: Configuration, folder: Path
     Raises:
         ConfigurationError: The command topic is not that of a controller.
     """
-    driver = configuration.driver_parameters
-    controller, _, last = driver.command_topic.strip('/').rpartition('/')
-    if last != 'commands' or not controller:
-        raise ConfigurationError('driver.command_topic', driver.command_topic,
-                                 'must end in CONTROLLER/commands where a controller is spawned')
-    controller = controller.rpartition('/')[2]
     content = yaml.safe_load(template.read_text(encoding='utf-8'))
-    section = content.pop('effort_controller')
-    section['ros__parameters'].update(joints=[driver.joint], interface_name=driver.interface)
+    section = content.pop('effort_controller')['ros__parameters']
     manager = content['controller_manager']['ros__parameters']
-    manager[controller] = manager.pop('effort_controller')
-    content[controller] = section
+    kind = manager.pop('effort_controller')
+    for prefix, driver in joint_axes(configuration).items():
+        controller, _, last = driver.command_topic.strip('/').rpartition('/')
+        if last != 'commands' or not controller:
+            raise ConfigurationError(f'{prefix}driver.command_topic', driver.command_topic,
+                                     'must end in CONTROLLER/commands where a controller is '
+                                     'spawned')
+        controller = controller.rpartition('/')[2]
+        if controller not in manager:
+            manager[controller] = kind
+            content[controller] = {'ros__parameters': {
+                **section, 'joints': [], 'interface_name': driver.interface}}
+        content[controller]['ros__parameters']['joints'].append(driver.joint)
+    if namespace:       # there the spawner and the controllers ask for full names
+        content = {f'{namespace}/{name}': item for name, item in content.items()}
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / 'joint_controllers.yaml'
     path.write_text(yaml.safe_dump(content, sort_keys=False), encoding='utf-8')

@@ -14,12 +14,13 @@ no controller takes is not called safe:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 import importlib
 import time
 from typing import Any
 
-from dz_ros.core.text import printable
+from dz_ros.core.text import LONGEST, printable
 from dz_ros.errors import DriverError
 
 ACTIVE = 3
@@ -44,25 +45,30 @@ class ForwardingController:
         publisher: Publisher of the commands.
         topic: Their topic, as the node names it: before remapping.
         name: Name of the controller's node; '' = that of the command topic, '-' = not asked.
-        joint: Joint that it must command, alone.
+        joints: Joints that it must command: one alone, or several, perhaps beside others.
         interface: Command interface that it must claim.
         activity_topic: Activity of the controller manager.
 
     Attributes:
         name: Full name of the controller's node; '' where it is not asked.
         wrong: Why no command may be sent to it; '' = nothing known.
-        verified: Whether it has confirmed that it commands this joint by this interface.
+        lacking: Joints that it should command and does not, where that is what is wrong.
+        verified: Whether it has confirmed that it commands these joints by this interface.
+        joints: All joints that it commands, in its order; where it is not asked, those it must.
 
     Raises:
         DriverError: The command topic names no controller.
     """
 
-    def __init__(self, node: Any, publisher: Any, topic: str, name: str, joint: str,
+    def __init__(self, node: Any, publisher: Any, topic: str, name: str, joints: Sequence[str],
                  interface: str, activity_topic: str) -> None:
         from lifecycle_msgs.msg import TransitionEvent
         from rcl_interfaces.srv import GetParameters
         self._node, self._publisher, self._topic = node, publisher, topic
-        self._joint, self._interface = joint, interface
+        self._wanted, self._interface = tuple(joints), interface
+        self.joints: tuple[str, ...] = self._wanted
+        self.lacking: tuple[str, ...] = ()
+        self._absent: tuple[str, ...] = ()
         self._request = GetParameters.Request
         self.name = publisher.topic_name.rpartition('/')[0] if not name else (
             '' if name == NOT_ASKED else '/' + name.strip('/'))
@@ -110,7 +116,7 @@ class ForwardingController:
         self._forget_answers()
         self._answers.clear()
         self._asked_at = -ANSWER_TIME_OUT
-        self.wrong, self.verified = '', not self.name
+        self.wrong, self.lacking, self.verified = '', (), not self.name
 
     # What is known.
 
@@ -182,20 +188,48 @@ class ForwardingController:
         self._futures.clear()
         joints = getattr(self._answers['joints'], 'string_array_value', None)
         interface = getattr(self._answers['interface_name'], 'string_value', '')
-        joints = list(joints or [])
+        joints = tuple(joints or ())
         if not joints:
             self.wrong = (f'{self.name} has no parameter joints: it is no '
                           'forward_command_controller or effort controller')
-        elif len(joints) > 1:
-            self.wrong = (f'{self.name} commands {len(joints)} joints ({", ".join(joints)}), the '
-                          'driver sends one number: give it one joint')
-        elif joints != [self._joint]:
-            self.wrong = (f'{self.name} commands joint {joints[0]!r}, but driver.joint = '
-                          f'{self._joint!r}')
-        elif interface and interface != self._interface:
+        else:
+            self.wrong = self._other_joints(joints)
+        if not self.wrong and interface and interface != self._interface:
             self.wrong = (f'{self.name} commands the interface {interface!r}, but '
                           f'driver.interface = {self._interface!r}')
+        self.joints = joints
         self.verified = True
+
+    def _other_joints(self, joints: tuple[str, ...]) -> str:
+        """Return why its joints are not the ones it must command; '' = they are.
+
+        Those of several axes may have others beside them, which it would have to be given a
+        command for as well; one joint must be alone, so that its driver knows of no other.
+        """
+        listed = ', '.join(joints)
+        if len(self._wanted) == 1:
+            if len(joints) > 1:
+                return (f'{self.name} commands {len(joints)} joints ({listed}), the driver sends '
+                        'one number: give it one joint')
+            return '' if joints == self._wanted else (
+                f'{self.name} commands joint {joints[0]!r}, but driver.joint = '
+                f'{self._wanted[0]!r}')
+        self.lacking = tuple(joint for joint in self._wanted if joint not in joints)
+        if self.lacking:
+            return (f'{self.name} does not command driver.joint = '
+                    f'{", ".join(map(repr, self.lacking))}; its joints: {listed}')
+        if twice := [joint for joint in joints if joints.count(joint) > 1]:
+            return f'{self.name} names joint {twice[0]!r} twice'
+        absent = tuple(joint for joint in joints if joint not in self._wanted)
+        if absent and self._interface == 'position':
+            return (f'{self.name} commands {", ".join(absent)} as well, which no axis has: no '
+                    'position is safe for it; give the controller the joints of the axes alone')
+        if absent not in ((), self._absent):
+            self._node.get_logger().warning(
+                f'{self.name} commands {printable(", ".join(absent), LONGEST)} as well, which no '
+                f'axis has: commanded 0')
+        self._absent = absent
+        return ''
 
     def _on_transition(self, event: Any) -> None:
         if event.start_state.id == UNCONFIGURED:

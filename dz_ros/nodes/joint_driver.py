@@ -1,43 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
 """A joint of ros2_control as an actuator: the driver `joint` (ours).
 
-    command   std_msgs/Float64MultiArray, data = [v]    → ~/commands of forward_command_controller/
-              ForwardCommandController or effort_controllers/JointGroupEffortController, one joint
-    state     sensor_msgs/JointState                    ← joint_state_broadcaster
+    command   std_msgs/Float64MultiArray   → ~/commands of forward_command_controller/
+              ForwardCommandController or effort_controllers/JointGroupEffortController
+    state     sensor_msgs/JointState       ← joint_state_broadcaster
 
 The unit of v is that of the claimed command interface: N m or N for `effort`, rad/s or m/s for
 `velocity`. Positions and velocities are the joint's own, in rad or m.
 
-Nothing is sent, and nothing measured, before the controller has confirmed that it commands this
-joint alone by this interface (``joint_controller.py``). Those controllers hold the last command
+Nothing is sent, and nothing measured, before the controller has confirmed which joints it commands
+by this interface (``joint_controller.py``). Those controllers hold the last command
 for ever, ignore what arrives while they are inactive and forget it when they are activated; so the
 safe command is repeated. What stops the joint when this process has died must be in its hardware.
 
-It lies in ``nodes`` because it uses ROS; it knows the host's node through `attach` alone. What it
-receives: ``joint_states.py``. Where nothing hosts it, as in `dz driver identify`, it has a node of
-its own, served by a thread.
+It lies in ``nodes`` because it uses ROS; it knows the host's node through `attach` alone. The
+drivers of the axes whose joints one controller commands share what there is of it
+(``joint_group.py``); one axis is a group of one. What it receives: ``joint_states.py``. Where
+nothing hosts it, as in `dz driver identify`, it has a node of its own, served by a thread.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 import math
-import threading
-import time
 from typing import Any
 
+from dz_ros.core.axes_keys import axis_key
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.safety.health import Level, Report
+from dz_ros.core.safety.health import Report
 from dz_ros.core.schema import parameter
+from dz_ros.drivers.contract import Driver
 from dz_ros.drivers.freshness import fresh_parameter
-from dz_ros.errors import ConfigurationError, DriverError, MissingDependencyError
-from dz_ros.nodes.joint_controller import ForwardingController
-from dz_ros.nodes.joint_states import JointStates
+from dz_ros.errors import ConfigurationError, DriverError
+from dz_ros.nodes.joint_group import JointGroup
 
-REPEAT_PERIOD = 0.1
-"""The safe command is sent again after each of these [s]."""
-ACKNOWLEDGE_TIME_OUT = 0.5
-"""Longest wait for the controller to have the last safe command [s]."""
+SHARED = ('controller', 'interface', 'activity_topic', 'state_topic', 'fresh', 'patience')
+"""Parameters that joints of one command topic have in common."""
 UNITS = {'effort': {'rad': 'N m', 'm': 'N'}, 'velocity': {'rad': 'rad/s', 'm': 'm/s'},
          'position': {'rad': 'rad', 'm': 'm'}, 'acceleration': {'rad': 'rad/s^2', 'm': 'm/s^2'}}
 """Command interface → unit of the joint's position → unit of the command."""
@@ -73,8 +72,19 @@ class JointParameters:
                                 'long is a fault', minimum=0.1)
 
 
-class Joint(JointStates):
-    """A joint of ros2_control."""
+class Joint(Driver):
+    """A joint of ros2_control.
+
+    Args:
+        parameters: Its own.
+        configuration: That of its axis.
+        group: The joints of its controller; None = it is alone.
+        place: Which of them it is.
+
+    Attributes:
+        group: The joints of its controller.
+        states: What is received of them.
+    """
 
     name = 'joint'
     summary = 'a joint of ros2_control: forwarded command, joint states'
@@ -82,21 +92,60 @@ class Joint(JointStates):
     requires = ('rclpy', 'sensor_msgs', 'std_msgs')
     Parameters = JointParameters
 
-    def __init__(self, parameters: Any, configuration: Configuration) -> None:
+    def __init__(self, parameters: Any, configuration: Configuration,
+                 group: JointGroup | None = None, place: int = 0) -> None:
         super().__init__(parameters, configuration)
         if not parameters.joint:
             raise ConfigurationError('driver.joint', '', 'must be the name of a joint')
         if parameters.measured > configuration.plant.order:
             raise ConfigurationError('driver.measured', parameters.measured, 'must be at most '
                                      f'{configuration.plant.order}, the order of the plant')
-        self._own: _OwnNode | None = None
-        self._publisher: Any = None
-        self._timer: Any = None
-        self._controller: ForwardingController | None = None
-        self._enabled = self._ready = False
-        self._safe: float | None = None
-        self._sent_at = 0.0
-        self._since = 0.0
+        self.group = JointGroup([configuration]) if group is None else group
+        self.states = self.group.states
+        self._place = place
+
+    @classmethod
+    def check_axes(cls, axes: Mapping[str, Configuration]) -> None:
+        """Check that each axis has a joint of its own, and one controller one set of topics.
+
+        Raises:
+            ConfigurationError: They have not.
+        """
+        joints: dict[tuple[str, str], str] = {}
+        first: dict[str, tuple[str, Any]] = {}
+        for name, item in axes.items():
+            p = item.driver_parameters
+            owner = joints.setdefault((p.state_topic, p.joint), name)
+            if owner != name:
+                raise ConfigurationError(axis_key(name, 'driver.joint'), p.joint, 'is the joint '
+                                         f'of axis {owner}; each axis has one of its own')
+            other, wanted = first.setdefault(p.command_topic, (name, p))
+            for key in SHARED:
+                if getattr(p, key) != getattr(wanted, key):
+                    raise ConfigurationError(
+                        axis_key(name, f'driver.{key}'), getattr(p, key),
+                        f'must be {getattr(wanted, key)!r} as of axis {other}: one controller '
+                        f'commands both, on {p.command_topic}')
+
+    @classmethod
+    def for_axes(cls, each: Sequence[Configuration]) -> Sequence[Driver]:
+        """Return the drivers of all axes; those with one command topic share a group."""
+        topics = [item.driver_parameters.command_topic for item in each]
+        groups = {topic: JointGroup([item for item, own in zip(each, topics, strict=True)
+                                     if own == topic]) for topic in dict.fromkeys(topics)}
+        return [cls(item.driver_parameters, item, groups[topic], topics[:place].count(topic))
+                for place, (item, topic) in enumerate(zip(each, topics, strict=True))]
+
+    @property
+    def measured(self) -> int:
+        """Number of states taken of a message: position, and velocity if wanted."""
+        return self.parameters.measured or min(self.configuration.plant.order, 2)
+
+    @property
+    def state_units(self) -> tuple[str, ...]:
+        """Units of position, velocity, … of the joint, shape (n,)."""
+        unit = self.parameters.unit
+        return (unit, f'{unit}/s', f'{unit}/s^2', f'{unit}/s^3')[:self.configuration.plant.order]
 
     @property
     def command_unit(self) -> str:
@@ -108,11 +157,19 @@ class Joint(JointStates):
         """Largest |v| [command unit]."""
         return self.parameters.limit or math.inf
 
-    # Lifecycle.
+    @property
+    def refused(self) -> Mapping[str, int]:
+        """Joint states of the group that were not taken, by cause; the first joint has them."""
+        return {} if self._place else self.states.refused
+
+    def configure(self, configuration: Configuration) -> None:
+        """Use another safe hold and freshness from now on."""
+        super().configure(configuration)
+        self.group.configure(self._place, configuration)
 
     def attach(self, node: Any) -> None:
         """Set the node whose publishers and subscriptions are used."""
-        self._node = node
+        self.group.attach(node)
 
     def open(self) -> None:
         """Offer commands, subscribe to joint states; whether they come shows later.
@@ -121,36 +178,11 @@ class Joint(JointStates):
             DriverError: A topic's name is none, or names no controller.
             MissingDependencyError: rclpy is not installed.
         """
-        if self._node is None:
-            self._own = _OwnNode()
-            self._node = self._own.node
-        from rclpy.clock import Clock, ClockType
-        from rclpy.qos import QoSProfile
-        from std_msgs.msg import Float64MultiArray
-        p = self.parameters
-        self._message = Float64MultiArray
-        for key in ('command_topic', 'state_topic'):
-            try:
-                if key == 'command_topic':      # reliable reaches every subscription there can be
-                    self._publisher = self._node.create_publisher(self._message, p.command_topic,
-                                                                  QoSProfile(depth=1))
-                else:
-                    self._subscribe()
-            except Exception as error:
-                raise DriverError(f'driver.{key} = {getattr(p, key)!r}: '
-                                  f'{str(error).strip().splitlines()[0]}') from error
-        self._controller = ForwardingController(
-            self._node, self._publisher, p.command_topic, p.controller, p.joint, p.interface,
-            p.activity_topic)
-        self._timer = self._node.create_timer(
-            REPEAT_PERIOD, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.group.open(self._place)
 
     def enable(self) -> None:
         """Begin to wait for joint and controller."""
-        self._since = time.monotonic()
-        self._enabled, self._ready = True, False
-        if self._controller is not None:
-            self._controller.restart()
+        self.group.enable(self._place)
 
     def disable(self) -> None:
         """Repeat the safe command no more, once the controller has it.
@@ -158,63 +190,31 @@ class Joint(JointStates):
         Raises:
             DriverError: No controller takes the safe command.
         """
-        self._enabled, self._safe = False, None
-        if self._controller is None:
-            return
-        if self._ready and not self._controller.wrong:
-            from rclpy.duration import Duration
-            deaf = self._controller.deaf()
-            if not deaf and not self._publisher.wait_for_all_acked(
-                    Duration(seconds=ACKNOWLEDGE_TIME_OUT)):
-                deaf = f'{self._publisher.topic_name} is not acknowledged'
-            if deaf:
-                raise DriverError(f'no controller takes the safe command: {deaf}; the hardware '
-                                  'keeps what it was given last')
+        self.group.disable(self._place)
 
     def close(self) -> None:
         """Withdraw from the topics."""
-        if self._timer is not None:
-            self._node.destroy_timer(self._timer)
-        if self._controller is not None:
-            self._controller.close()
-        if self._publisher is not None:
-            self._node.destroy_publisher(self._publisher)
-        self._unsubscribe()
-        self._publisher = self._controller = self._timer = None
-        if self._own is not None:
-            self._own.close()
-            self._own = self._node = None
-
-    # Each sample.
+        self.group.close(self._place)
 
     def command(self, v: float, t: float) -> None:  # noqa: ARG002
-        """Publish [v]."""
-        self._safe = None
-        self._publish(v)
+        """Publish v, with the commands of the group's other joints."""
+        self.group.give(self._place, v, safe=False)
 
     def safe(self, v: float, t: float) -> None:  # noqa: ARG002
-        """Publish [v], and again every `REPEAT_PERIOD` until the next command."""
-        self._safe = v
-        self._publish(v)
+        """Publish v as `command` does, and again every `REPEAT_PERIOD` until the next command."""
+        self.group.give(self._place, v, safe=True)
+
+    def measure(self) -> tuple[float, ...] | None:
+        """Return position and, if wanted, velocity, shape (measured,); None if none is fresh."""
+        return self.group.measure(self._place)
+
+    def absence(self) -> str:
+        """Return why there is no measurement."""
+        return self.states.absence()
 
     def fault(self) -> str:
         """Return what is wrong with joint or controller; once it has lasted where it may come."""
-        if self._publisher is None:
-            return ''
-        now, p = time.monotonic(), self.parameters
-        self._take(now)
-        controller = self._controller
-        if controller is not None and controller.wrong:
-            return controller.wrong
-        if self._sources.mixed(now):
-            return self._mixed()
-        found = controller.problem() if controller is not None else ''
-        if found and (self._is_ready() or now - self._since > p.patience):
-            return found
-        seen = max(self._since, self._samples[-1].arrived) if self._samples else self._since
-        if now - seen > p.patience:
-            return self.absence()
-        return ''
+        return self.group.fault(self._place)
 
     def recover(self) -> None:
         """Wait for joint and controller again.
@@ -226,71 +226,6 @@ class Joint(JointStates):
             raise DriverError(self.fault())
 
     def report(self, report: Report) -> None:
-        """Add what was received."""
-        if self._samples:
-            now, sample = time.monotonic(), self._samples[-1]
-            report.put('age of the joint state [ms]', (now - sample.taken) * 1e3, '.3f')
-        if self._publisher is not None:
-            report.put(f'listeners of {self.parameters.command_topic}',
-                       self._publisher.get_subscription_count(), 'd')
-        if self._controller is not None:
-            report.put('controller', self._controller.name or 'not asked')
-            report.put('state of the controller', self._controller.state or 'unknown')
-            if self._ready and self._controller.deaf():
-                report.summarize(Level.ERROR, self._controller.deaf())
-        for what, count in self.counts.items():
-            report.put(what, count, 'd')
-
-    # Commands.
-
-    def _publish(self, v: float) -> None:
-        """Publish [v] if the controller is known to be the right one."""
-        if self._publisher is not None and (self._controller is None
-                                            or self._controller.takes_commands):
-            self._publisher.publish(self._message(data=[v]))
-            self._sent_at = time.monotonic()
-
-    def _tick(self) -> None:
-        """Check the controller; repeat the safe command, which it may have forgotten."""
-        if self._controller is not None:
-            self._controller.look()
-        v = self._safe
-        if self._enabled and v is not None and (time.monotonic() - self._sent_at
-                                                >= REPEAT_PERIOD / 2):
-            self._publish(v)
-
-    def _is_ready(self) -> bool:
-        """Whether the controller has been all right since it was enabled."""
-        self._ready = self._ready or self._controller is None or not self._controller.problem()
-        return self._ready
-
-
-class _OwnNode:
-    """A node for a driver that nothing hosts, served by a thread.
-
-    Raises:
-        MissingDependencyError: rclpy is not installed.
-    """
-
-    def __init__(self) -> None:
-        try:
-            import rclpy
-            from rclpy.executors import SingleThreadedExecutor
-        except ImportError:
-            raise MissingDependencyError("driver.name = 'joint' needs rclpy, of ROS 2 Jazzy or "
-                                         "pip install 'dz_ros[ros]'") from None
-        self._context = rclpy.Context()
-        self._context.init()
-        self.node = rclpy.create_node('joint_driver', context=self._context,
-                                      start_parameter_services=False)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._executor.spin, daemon=True)
-        self._thread.start()
-
-    def close(self) -> None:
-        """End the thread and the node."""
-        self._executor.shutdown()
-        self._thread.join()
-        self.node.destroy_node()
-        self._context.shutdown()
+        """Add what was received of the group, once."""
+        if not self._place:
+            self.group.report(report)

@@ -6,14 +6,18 @@ import json
 from pathlib import Path
 import time
 
+import numpy as np
 import pytest
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
 from dz_ros.core.loop.offline import simulate
+from dz_ros.core.records import State
 from dz_ros.recording.save import save_run
 
 TIME_OUT = 180.0
+ASK_AGAIN = 10.0
+"""A service that has not answered is asked again [s]."""
 PATIENT = ('-p', 'loop.duration:=0.0', '-p', 'safety.state_hold:=200', '-p',
            'safety.command_hold:=100', '-p', 'safety.echo_limit:=200', '-p',
            'safety.fault_after:=2000', '-p', 'driver.fresh:=100.0', '-p',
@@ -29,6 +33,24 @@ def run(tmp_path_factory):
     events = ((10 ** 18 + 7, '/plant_node', '{"event": "started"}'),)
     save_run(replace(data, events=events), path)
     return path
+
+
+@pytest.fixture(scope='session')
+def samples():
+    """Return ``find(channel)``: the channel of a lockstep run with each message once, by seq.
+
+    A state that gets no answer for a while is sent again, and answered again; neither may differ
+    in a bit from what was sent the first time.
+    """
+    def find(channel):
+        seq, first = np.unique(channel.values[:, 0], return_index=True)
+        assert np.array_equal(seq, np.arange(len(seq)))
+        kept = channel.values[first]
+        assert kept[seq.searchsorted(channel.values[:, 0])].tobytes() == channel.values.tobytes()
+        return replace(channel, values=kept, log_time=channel.log_time[first],
+                       publish_time=channel.publish_time[first])
+
+    return find
 
 
 @pytest.fixture
@@ -52,6 +74,9 @@ def children():
 
 class Operator:
     """A node of the test's own that hears everything and calls services."""
+
+    patient = PATIENT
+    ask_again = 0.0
 
     def __init__(self):
         from rcl_interfaces.srv import SetParametersAtomically
@@ -96,10 +121,18 @@ class Operator:
     def call(self, service, service_type=None, request=None):
         service_type = service_type or self.trigger
         client = self.node.create_client(service_type, service)
-        assert client.wait_for_service(TIME_OUT)
-        future = client.call_async(request or service_type.Request())
-        self.wait(future.done)
-        return future.result()
+        asked = []
+
+        def answered():
+            # A server that was killed is known to DDS for a while: it may be the only one that
+            # was there when this client asked.
+            if client.service_is_ready() and (not asked or time.monotonic() > self.ask_again):
+                asked.append(client.call_async(request or service_type.Request()))
+                self.ask_again = time.monotonic() + ASK_AGAIN
+            return any(future.done() for future in asked)
+
+        self.wait(answered)
+        return next(future for future in asked if future.done()).result()
 
     def set(self, node, **values):
         parameters = [self.rclpy.parameter.Parameter(name.replace('__', '.'), value=value)
@@ -133,8 +166,6 @@ def operator(ros_domain):
 class Watcher(Operator):
     """An operator of a loop around `actuator_node`, which may fall into fault."""
 
-    patient = PATIENT
-
     @property
     def states(self):
         return [message.data for message in self.heard['state']]
@@ -144,13 +175,15 @@ class Watcher(Operator):
         heard = len(self.heard['state'])
         self.wait(lambda: len(self.heard['state']) > heard + samples)
 
-    def tracked(self, trajectory, bound, samples=600):
-        """Wait for so many samples in a row whose median error is below a bound.
+    def tracked(self, trajectory, bound, samples=600, row=0):
+        """Wait for so many samples in a row whose median error is below a bound, of one axis.
 
         A busy machine may hold any process for long, so only what lasts is judged.
         """
+        width = len(State.labels(2))
+
         def good():
-            recent = self.states[-samples:]
+            recent = [data[row * width:] for data in self.states[-samples:]]
             if len(recent) < samples:
                 return False
             if recent[0][1] > 20.0 and 'fault' in {mode for mode, _ in self.modes().values()}:
@@ -176,6 +209,53 @@ def watcher(ros_domain):
     made = Watcher()
     yield made
     made.close()
+
+
+STAND_IN = Path(__file__).with_name('ros2_control_stand_in.py')
+ROOT = Path(__file__).parents[2]
+JOINT = ROOT / 'config' / 'joint.yaml'
+
+
+class Robot:
+    """What a test says to ros2_control's stand-in, what that says of its hardware, the loop."""
+
+    def __init__(self, watcher, processes):
+        from std_msgs.msg import String
+        self._watcher, self._string, self._processes = watcher, String, processes
+        self.interface = []     # (controller active, command that the hardware holds)
+        watcher.node.create_subscription(String, '/stand_in/interface', lambda message:
+                                         self.interface.append(json.loads(message.data)), 1000)
+        self._do = watcher.node.create_publisher(String, '/stand_in/do', 10)
+
+    def do(self, word):
+        self._watcher.wait(lambda: self._do.get_subscription_count() > 0)
+        self._do.publish(self._string(data=word))
+
+    @property
+    def held(self):
+        return self.interface[-1][1]
+
+    def stand_in(self, kind='forward', active=True, options=(), config=JOINT, path=ROOT):
+        """Start the stand-in."""
+        self._processes(str(STAND_IN), config, kind, *options,
+                        PYTHONPATH=str(path)).wait_for_line('controllers are loaded')
+        if active:
+            self.do('activate')
+            self._watcher.wait(lambda: self.interface and self.interface[-1][0])
+
+    def start(self, *more, kind='forward', active=True, options=(), config=JOINT, path=ROOT):
+        """Start stand-in and loop; return the loop's nodes once they are started."""
+        self.stand_in(kind, active, options, config, path)
+        return {name: self._processes('-m', 'dz_ros.nodes.main', name, '--ros-args',
+                                      '--params-file', config, *self._watcher.patient, *more,
+                                      PYTHONPATH=str(path))
+                for name in ('actuator_node', 'controller_node', 'trajectory_node')}
+
+
+@pytest.fixture
+def robot(watcher, processes):
+    """The stand-in of ros2_control and the loop around it, not started."""
+    return Robot(watcher, processes)
 
 
 KIT_TIME_OUT = 300.0

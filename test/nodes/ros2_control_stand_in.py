@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Behaves as ros2_control 4.46 is documented to, with a joint behind it.
+"""Behaves as ros2_control 4.46 is documented to, with the joints of a configuration behind it.
 
 controller_manager, joint_state_broadcaster, one forward_command_controller ('forward') or
 effort_controllers/JointGroupEffortController ('effort'), each a node of its own name:
@@ -9,17 +9,21 @@ effort_controllers/JointGroupEffortController ('effort'), each a node of its own
   takes none, and forgets what came before it was activated; the effort controller writes 0 when it
   is deactivated, the other leaves the last command in the interface;
 - `~/get_parameters` tells `joints` and `interface_name`, `~/transition_event` each change;
+- `/controller_manager/activity` has the state of each controller, latched;
 - the broadcaster's message has position, velocity and effort of every joint, NaN where the
   hardware has no such interface, in an order of its own, stamped with the time of the cycle.
 
 Usage: CONFIG KIND [KEY=VALUE ...], with rate (of the manager [Hz]), joints (of the controller,
 separated by commas), interface, active (1 from the start), delay (of the joint states after their
-stamp [s]), log (file of lines "instant position", written at the end). What the test wants is said
-on the topic `do`, one word: activate, deactivate, silence, speak, nan, number, rename, name,
-freeze, run, positions, all, blind, seeing (velocity NaN or not), stuck, moving (values frozen,
-stamps running), another (a joint_state_publisher that says 0 begins), home (the joint is brought
-back to 0, at rest, as by a person). What the hardware holds is
-on `interface`: [active, command, position, instant [s of the steady clock]].
+stamp [s]), log (file of lines "instant positions", written at the end), namespace, activity (1 =
+published, in place of transition events). What the test wants is said on the topic `do`, one word:
+activate, deactivate, unload (with activity), silence, speak, nan, number, rename, name, freeze,
+run, positions, all, blind, seeing (velocity NaN or not), stuck, moving (values frozen, stamps
+running), part, whole (the last joint left out or not), another (a joint_state_publisher that says
+0 begins), home (the joints are brought back to 0, at rest, as by a person); nan, rename and blind
+are of the last joint. What the hardware holds is on `interface`: [active, command, position,
+instant [s of the steady clock]]; of several joints lists, commands in the order of the controller,
+positions in that of the axes.
 """
 
 from collections import deque
@@ -34,6 +38,7 @@ import time
 from lifecycle_msgs.msg import State, TransitionEvent
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
@@ -42,25 +47,43 @@ from dz_ros.files.configurations import load_configuration
 
 CONFIG, KIND = sys.argv[1], sys.argv[2]
 OPTIONS = {'rate': '500', 'joints': '', 'interface': 'effort', 'delay': '0',
-           'log': '', 'active': '0',
+           'log': '', 'active': '0', 'namespace': '', 'activity': '0',
            **dict(word.split('=', 1) for word in sys.argv[3:])}
 OTHERS = ('shoulder', 'wrist')
 OPPOSITE = {'speak': 'silence', 'number': 'nan', 'name': 'rename', 'run': 'freeze',
-            'all': 'positions', 'seeing': 'blind', 'moving': 'stuck'}
+            'all': 'positions', 'seeing': 'blind', 'moving': 'stuck', 'whole': 'part'}
+
+
+def make_node(name):
+    """Return a node in the manager's namespace."""
+    return rclpy.create_node(name, namespace=OPTIONS['namespace'])
+
+
+def number_or_list(values):
+    """Return the value of one joint as a number."""
+    return values[0] if len(values) == 1 else list(values)
 
 
 class Controller:
     """The controller that forwards commands."""
 
-    def __init__(self, joint):
-        self.node = rclpy.create_node('effort_controller')
-        self.joints = OPTIONS['joints'].split(',') if OPTIONS['joints'] else [joint]
+    def __init__(self, joints):
+        self.node = make_node('effort_controller')
+        self.joints = OPTIONS['joints'].split(',') if OPTIONS['joints'] else joints
         self.node.declare_parameter('joints', self.joints)
         self.node.declare_parameter('interface_name', OPTIONS['interface'])
-        self.active = OPTIONS['active'] == '1'
-        self.interface = 0.0        # what the hardware holds
+        self.active, self.loaded = OPTIONS['active'] == '1', True
+        self.interface = [0.0] * len(self.joints)       # what the hardware holds
         self._buffer = None
-        self._events = self.node.create_publisher(TransitionEvent, '~/transition_event', 10)
+        self._events = self._activity = None
+        if OPTIONS['activity'] == '1':
+            from controller_manager_msgs.msg import ControllerManagerActivity
+            self._activity = self.node.create_publisher(
+                ControllerManagerActivity, 'controller_manager/activity',
+                QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
+            self.tell()
+        else:
+            self._events = self.node.create_publisher(TransitionEvent, '~/transition_event', 10)
         self.node.create_subscription(Float64MultiArray, '~/commands', self.command, 10)
 
     def command(self, message):
@@ -74,11 +97,22 @@ class Controller:
         if not active:
             states.reverse()
             states[1] = State(id=State.TRANSITION_STATE_DEACTIVATING, label='deactivating')
-        for start, goal in itertools.pairwise(states):
+        for start, goal in itertools.pairwise(states) if self._events is not None else ():
             self._events.publish(TransitionEvent(start_state=start, goal_state=goal))
         self.active, self._buffer = active, None
         if not active and KIND == 'effort':
-            self.interface = 0.0
+            self.interface = [0.0] * len(self.joints)
+        if self._activity is not None:
+            self.tell()
+
+    def tell(self):
+        """Publish the states of all controllers, as the manager does."""
+        from controller_manager_msgs.msg import ControllerManagerActivity, NamedLifecycleState
+        active = State(id=State.PRIMARY_STATE_ACTIVE, label='active')
+        own = active if self.active else State(id=State.PRIMARY_STATE_INACTIVE, label='inactive')
+        listed = [NamedLifecycleState(name='joint_state_broadcaster', state=active),
+                  NamedLifecycleState(name='effort_controller', state=own)]
+        self._activity.publish(ControllerManagerActivity(controllers=listed[:1 + self.loaded]))
 
     def update(self):
         if not self.active or self._buffer is None:
@@ -86,44 +120,46 @@ class Controller:
         if len(self._buffer) != len(self.joints):
             self.change(active=False)
         else:
-            self.interface = self._buffer[0]
+            self.interface = self._buffer
 
 
 class Robot:
-    """Manager, controller, broadcaster, and the joint behind them."""
+    """Manager, controller, broadcaster, and the joints behind them."""
 
     def __init__(self, executor):
-        configuration = load_configuration(CONFIG)
-        self._joint = configuration.driver_parameters.joint
-        self._plant = SimulatedActuator(SimulatedParameters(), configuration)
+        each = load_configuration(CONFIG).each
+        self._joints = [item.driver_parameters.joint for item in each]
+        self._plants = [SimulatedActuator(SimulatedParameters(), item) for item in each]
         self._start = None
         self._words = set()
         self._late = deque()
         self._stuck = None
         self._stamp = None
         self.rows = []
-        manager = rclpy.create_node('controller_manager')
-        self._controller = Controller(self._joint)
-        broadcaster = rclpy.create_node('joint_state_broadcaster')
-        self._another = rclpy.create_node('joint_state_publisher')
+        manager = make_node('controller_manager')
+        self._controller = Controller(self._joints)
+        broadcaster = make_node('joint_state_broadcaster')
+        self._another = make_node('joint_state_publisher')
         for node in (manager, self._controller.node, broadcaster, self._another):
             executor.add_node(node)
         self._clock = manager.get_clock()
-        self._states = broadcaster.create_publisher(JointState, '/joint_states', 10)
+        self._states = broadcaster.create_publisher(JointState, 'joint_states', 10)
         self._told = manager.create_publisher(String, '/stand_in/interface', 10)
         manager.create_subscription(String, '/stand_in/do', self.do, 10)
         manager.create_timer(1.0 / float(OPTIONS['rate']), self.update)
 
     def do(self, message):
         word = message.data
-        if word in ('activate', 'deactivate'):
+        if word in ('activate', 'deactivate', 'unload'):
+            self._controller.loaded = word != 'unload'
             self._controller.change(word == 'activate')
         elif word == 'home':
-            self._plant.x = [0.0] * len(self._plant.x)
+            for plant in self._plants:
+                plant.x = [0.0] * len(plant.x)
         elif word == 'another':
-            states = self._another.create_publisher(JointState, '/joint_states', 10)
-            self._another.create_timer(0.1, lambda: states.publish(self.stamped(
-                JointState(name=[self._joint], position=[0.0]))))
+            states = self._another.create_publisher(JointState, 'joint_states', 10)
+            self._another.create_timer(0.1, lambda: states.publish(self.stamped(JointState(
+                name=self._joints, position=[0.0] * len(self._joints)))))
         else:
             opposite = OPPOSITE.get(word)
             self._words = self._words - {opposite} if opposite else self._words | {word}
@@ -134,37 +170,50 @@ class Robot:
 
     def update(self):
         now = time.monotonic()
-        if self._start is None and self._controller.interface != 0.0:
+        held = self._controller.interface
+        if self._start is None and any(held):
             self._start = now       # nothing moves before the first command
         if self._start is not None:
-            self._plant.advance(now - self._start, 0)
-        x, speed = self._plant.measure()
+            for plant in self._plants:
+                plant.advance(now - self._start, 0)
+        x, speed = zip(*(plant.measure() for plant in self._plants), strict=True)
         if OPTIONS['log']:
-            self.rows.append((now, x))
+            self.rows.append((now, *x))
         if 'silence' not in self._words:
-            self._late.append((now, self.message(x, speed)))
+            self._late.append((now, self.message(list(x), list(speed))))
         while self._late and self._late[0][0] <= now - float(OPTIONS['delay']):
             self._states.publish(self._late.popleft()[1])
         self._controller.update()
+        held = self._controller.interface
         if self._start is not None:
-            self._plant.command(self._controller.interface, now - self._start)
+            given = dict(zip(self._controller.joints, held, strict=True))
+            for joint, plant in zip(self._joints, self._plants, strict=True):
+                # A controller of another joint would be seen to move it all the same.
+                plant.command(given.get(joint, held[0]), now - self._start)
         self._told.publish(String(data=json.dumps(
-            [self._controller.active, self._controller.interface, x, now])))
+            [self._controller.active, number_or_list(held), number_or_list(x), now])))
 
     def message(self, x, speed):
         if 'stuck' in self._words:
             x, speed = self._stuck = self._stuck or (x, speed)
+            x, speed = list(x), list(speed)
         else:
             self._stuck = None
         if 'nan' in self._words:
-            x = math.nan
+            x[-1] = math.nan
         if 'blind' in self._words:
-            speed = math.nan
+            speed[-1] = math.nan
+        names = list(self._joints)
+        if 'rename' in self._words:
+            names[-1] = 'elbow'
+        count = len(names) - ('part' in self._words)
+        # The last axis first: an order of its own.
+        names, x, speed = ([*values[:count]][::-1] for values in (names, x, speed))
         message = JointState(
-            name=[OTHERS[0], 'elbow' if 'rename' in self._words else self._joint, OTHERS[1]],
-            position=[9.0, x, 7.0], effort=[math.nan] * 3)
+            name=[OTHERS[0], *names, OTHERS[1]], position=[9.0, *x, 7.0],
+            effort=[math.nan] * (count + 2))
         if 'positions' not in self._words:
-            message.velocity = [8.0, speed, math.nan]
+            message.velocity = [8.0, *speed, math.nan]
         if self._stamp is None or 'freeze' not in self._words:
             self._stamp = self._clock.now().to_msg()
         message.header.stamp = self._stamp
@@ -181,7 +230,7 @@ def main():
         executor.spin()
     if OPTIONS['log']:
         Path(OPTIONS['log']).write_text(
-            ''.join(f'{instant!r} {x!r}\n' for instant, x in robot.rows), encoding='utf-8')
+            ''.join(f'{" ".join(map(repr, row))}\n' for row in robot.rows), encoding='utf-8')
 
 
 if __name__ == '__main__':

@@ -6,6 +6,7 @@ import json
 import math
 from pathlib import Path
 import re
+import sys
 import time
 import types
 
@@ -19,8 +20,6 @@ from dz_ros.nodes.joint_sources import JointSources
 
 ROOT = Path(__file__).parents[2]
 CONFIG = ROOT / 'config' / 'joint.yaml'
-STAND_IN = Path(__file__).with_name('ros2_control_stand_in.py')
-NODE = ('-m', 'dz_ros.nodes.main')
 
 
 def make(**driver):
@@ -40,16 +39,16 @@ def state(names=('shoulder', 'joint1'), position=(9.0, 0.25), velocity=(8.0, -0.
 def listening(**parameters):
     """Return a driver that thinks it is open, and waited for its joint for long."""
     driver = make(**{'patience': 0.1, 'extrapolate': 'false', **parameters})
-    driver._publisher = types.SimpleNamespace(get_subscription_count=lambda: 1)
-    driver._since = time.monotonic() - 1.0
+    driver.group._publisher = types.SimpleNamespace(get_subscription_count=lambda: 1)
+    driver.group._since = time.monotonic() - 1.0
     return driver
 
 
 def test_the_named_joint_is_taken_wherever_it_stands():
     driver = listening(fresh=1000)
-    driver.receive(state(), 1)
+    driver.states.receive(state(), 1)
     assert driver.measure() == (0.25, -0.5)
-    driver.receive(state(('joint1', 'shoulder'), (0.5, 9.0), (1.0, 8.0), (1, 1)), 2)
+    driver.states.receive(state(('joint1', 'shoulder'), (0.5, 9.0), (1.0, 8.0), (1, 1)), 2)
     assert driver.measure() == (0.5, 1.0)
     assert driver.fault() == ''
 
@@ -68,13 +67,13 @@ def test_the_named_joint_is_taken_wherever_it_stands():
 ])
 def test_what_is_wrong_with_a_joint_state_is_said(message, words):
     driver = listening()
-    driver.receive(message)
+    driver.states.receive(message)
     assert driver.measure() is None
     assert words in driver.fault()
     assert len(driver.fault()) < 500
     with pytest.raises(DriverError, match='joint'):
         driver.recover()
-    assert sum(driver.refused.values()) + driver.counts['joint states of others'] == 1
+    assert sum(driver.refused.values()) + driver.states.counts['joint states of others'] == 1
 
 
 def test_nothing_at_all_is_said():
@@ -83,28 +82,28 @@ def test_nothing_at_all_is_said():
 
 def test_others_joints_and_a_stamp_that_stands_still_are_no_measurement():
     driver = listening(fresh=1000, patience=1000)
-    driver.receive(state())
+    driver.states.receive(state())
     first = driver.measure()
     for message in (state(position=(1.0, 2.0)), state(names=('a', 'b'), stamp=(2, 0)),
                     state(position=(math.nan,) * 2, stamp=(2, 0))):
-        driver.receive(message)
+        driver.states.receive(message)
         assert driver.measure() == first
-    driver.receive(state(position=(1.0, 2.0), stamp=(3, 0)))
+    driver.states.receive(state(position=(1.0, 2.0), stamp=(3, 0)))
     assert driver.measure() == (2.0, -0.5)
     unstamped = state(stamp=(0, 0))         # a broadcaster that does not say when
     for _ in range(2):
-        driver.receive(unstamped)
+        driver.states.receive(unstamped)
         assert driver.measure() == (0.25, -0.5)
 
 
 def test_an_older_state_of_the_same_publisher_is_no_measurement():
     driver = listening(fresh=1000, patience=1000)
-    driver.receive(state(position=(1.0, 2.0), stamp=(3, 0)), 1)
-    driver.receive(state(position=(1.0, 3.0), stamp=(2, 10 ** 9 - 1)), 2)
+    driver.states.receive(state(position=(1.0, 2.0), stamp=(3, 0)), 1)
+    driver.states.receive(state(position=(1.0, 3.0), stamp=(2, 10 ** 9 - 1)), 2)
     assert driver.measure() == (2.0, -0.5)
     assert driver.absence() == 'the stamp of /joint_states goes back'
     assert driver.refused == {'joint states whose stamp goes back': 1}
-    driver.receive(state(position=(1.0, 4.0), stamp=(1, 0)), 3)        # the clock was set
+    driver.states.receive(state(position=(1.0, 4.0), stamp=(1, 0)), 3)     # the clock was set
     assert driver.measure() == (4.0, -0.5)
 
 
@@ -136,12 +135,12 @@ def test_the_position_is_advanced_by_the_age_of_the_state():
     for number, (stamp, age) in enumerate((((4, 996_000_000), 0.004), ((3, 0), 0.0),
                                            ((6, 0), 0.0))):
         begun = time.monotonic()
-        driver.receive(state(stamp=stamp), number)    # the others are of another clock
+        driver.states.receive(state(stamp=stamp), number)    # the others are of another clock
         x, speed = driver.measure()
         waited = time.monotonic() - begun
         assert speed == -0.5
         assert 0.25 - 0.5 * (age + waited + 1e-9) <= x <= 0.25 - 0.5 * (age - 1e-9), stamp
-    assert driver.counts['joint states whose stamp is of another clock, or late'] == 2
+    assert driver.states.counts['joint states whose stamp is of another clock, or late'] == 2
 
 
 class Graph:
@@ -177,8 +176,8 @@ class Graph:
 def watching(name=''):
     pytest.importorskip('rclpy', reason='rclpy is not installed')
     graph = Graph()
-    return graph, ForwardingController(graph, graph, 'commands', name, 'joint1', 'effort',
-                                       '/activity')
+    return graph, ForwardingController(graph, graph, 'commands', name, ['joint1'],
+                                       'effort', '/activity')
 
 
 def test_the_manager_s_activity_tells_the_state_of_the_controller():
@@ -220,6 +219,14 @@ def test_a_controller_that_is_not_to_be_asked_is_not():
     assert controller.problem() == ''
 
 
+def test_it_is_known_without_rclpy(processes):
+    found = processes(sys.executable, '-c',
+                      'import sys, dz_ros.nodes.joint_driver; print(*sys.modules)')
+    assert found.wait() == 0
+    assert 'dz_ros.nodes.joint_group' in found.output.split()
+    assert 'rclpy' not in found.output.split()
+
+
 def test_units_are_the_joint_s():
     assert (make().state_units, make().command_unit) == (('rad', 'rad/s'), 'N m')
     slide = make(unit='m', interface='velocity')
@@ -228,8 +235,8 @@ def test_units_are_the_joint_s():
 
 def test_an_old_joint_state_is_none():
     driver = listening(fresh=2.0)
-    driver.receive(state())
-    driver.receive(state(stamp=(2, 0)), arrived=time.monotonic() - 0.011)
+    driver.states.receive(state())
+    driver.states.receive(state(stamp=(2, 0)), arrived=time.monotonic() - 0.011)
     assert driver.measure() is None
 
 
@@ -238,7 +245,8 @@ def test_the_velocity_is_observed_where_it_is_not_measured():
                                                       'driver.extrapolate=false']))
     assert hosted.observing
     for k in range(400):
-        hosted.driver.receive(state(position=(0.0, 0.4 * k * 0.005), velocity=(), stamp=(1, k)))
+        hosted.driver.states.receive(state(position=(0.0, 0.4 * k * 0.005), velocity=(),
+                                           stamp=(1, k)))
         x = hosted.measure(k * 0.005)
     assert x == pytest.approx((0.4 * 399 * 0.005, 0.4), rel=1e-3)
 
@@ -259,49 +267,11 @@ def test_limit_is_the_configured_one():
 
 # Everything as processes.
 
-class Robot:
-    """What the test says to the stand-in, and what the stand-in says of its hardware."""
-
-    def __init__(self, watcher):
-        from std_msgs.msg import String
-        self._watcher, self._string = watcher, String
-        self.interface = []     # (controller active, command that the hardware holds)
-        watcher.node.create_subscription(String, '/stand_in/interface', lambda message:
-                                         self.interface.append(json.loads(message.data)), 1000)
-        self._do = watcher.node.create_publisher(String, '/stand_in/do', 10)
-
-    def do(self, word):
-        self._watcher.wait(lambda: self._do.get_subscription_count() > 0)
-        self._do.publish(self._string(data=word))
-
-    @property
-    def held(self):
-        return self.interface[-1][1]
-
-
-@pytest.fixture
-def robot(watcher):
-    return Robot(watcher)
-
-
-def start(processes, watcher, robot, *more, kind='forward', active=True, options=()):
-    """Start stand-in and loop; return the loop's nodes once it runs."""
-    stand_in = processes(str(STAND_IN), CONFIG, kind, *options, PYTHONPATH=str(ROOT))
-    stand_in.wait_for_line('controllers are loaded')
-    if active:
-        robot.do('activate')
-        watcher.wait(lambda: robot.interface and robot.interface[-1][0])
-    nodes = {name: processes(*NODE, name, '--ros-args', '--params-file', CONFIG, *watcher.patient,
-                             *more)
-             for name in ('actuator_node', 'controller_node', 'trajectory_node')}
-    return nodes
-
-
 @pytest.mark.ros
 @pytest.mark.parametrize('measured', [2, 1])
 def test_the_adaptive_loop_tracks_through_the_controllers(
-        processes, watcher, robot, measured):
-    nodes = start(processes, watcher, robot, '-p', f'driver.measured:={measured}')
+        watcher, robot, measured):
+    nodes = robot.start('-p', f'driver.measured:={measured}')
     # The layer's bound is 8 mrad, less is usual at 200 Hz on a quiet machine.
     watcher.tracked(load_configuration(CONFIG).trajectory, 0.01)
     for node in nodes.values():
@@ -321,8 +291,8 @@ NO_USE = {
 
 
 @pytest.mark.ros
-def test_joint_states_of_no_use_are_a_fault_and_a_reset_goes_on(processes, watcher, robot):
-    start(processes, watcher, robot)
+def test_joint_states_of_no_use_are_a_fault_and_a_reset_goes_on(watcher, robot):
+    robot.start()
     for word, (back, reason) in NO_USE.items():
         watcher.running()
         robot.do(word)
@@ -340,9 +310,9 @@ def test_joint_states_of_no_use_are_a_fault_and_a_reset_goes_on(processes, watch
 
 @pytest.mark.ros
 def test_a_joint_of_another_name_never_starts_and_says_which_there_are(
-        processes, watcher, robot):
-    nodes = start(processes, watcher, robot, '-p', 'driver.joint:=knee',
-                  '-p', 'driver.patience:=10.0', options=['joints=knee'])
+        watcher, robot):
+    nodes = robot.start('-p', 'driver.joint:=knee', '-p', 'driver.patience:=10.0',
+                        options=['joints=knee'])
     watcher.wait_for_mode(actuator_node='fault')
     assert watcher.modes()['actuator_node'][1] == (
         "joint 'knee' is not among those of /joint_states: shoulder, joint1, wrist")
@@ -359,8 +329,8 @@ def test_a_joint_of_another_name_never_starts_and_says_which_there_are(
      "driver.interface = 'effort'"),
 ])
 def test_a_controller_of_another_joint_is_refused_before_anything_is_sent(
-        processes, watcher, robot, options, words):
-    nodes = start(processes, watcher, robot, options=options)
+        watcher, robot, options, words):
+    nodes = robot.start(options=options)
     watcher.wait_for_mode(actuator_node='fault')
     assert watcher.modes()['actuator_node'][1] == words
     assert not watcher.call('actuator_node/reset').success
@@ -372,8 +342,8 @@ def test_a_controller_of_another_joint_is_refused_before_anything_is_sent(
 
 @pytest.mark.ros
 def test_a_controller_that_leaves_active_is_a_fault_and_gets_the_safe_command_when_it_is_back(
-        processes, watcher, robot):
-    nodes = start(processes, watcher, robot)
+        watcher, robot):
+    nodes = robot.start()
     watcher.running()
     watcher.wait(lambda: abs(robot.held) > 0.3)
     robot.do('deactivate')
@@ -399,8 +369,8 @@ def test_a_controller_that_leaves_active_is_a_fault_and_gets_the_safe_command_wh
 
 
 @pytest.mark.ros
-def test_another_publisher_of_commands_is_a_fault_that_names_it(processes, watcher, robot):
-    start(processes, watcher, robot)
+def test_another_publisher_of_commands_is_a_fault_that_names_it(watcher, robot):
+    robot.start()
     watcher.running()
     rival = watcher.node.create_publisher(watcher.array, '/effort_controller/commands', 10)
     watcher.wait_for_mode(actuator_node='fault')
@@ -419,8 +389,8 @@ def test_another_publisher_of_commands_is_a_fault_that_names_it(processes, watch
 @pytest.mark.ros
 @pytest.mark.parametrize('measured', [2, 1])
 def test_another_publisher_of_the_joint_is_a_fault_that_names_it(
-        processes, watcher, robot, measured):
-    start(processes, watcher, robot, '-p', f'driver.measured:={measured}')
+        watcher, robot, measured):
+    robot.start('-p', f'driver.measured:={measured}')
     watcher.running()
     watcher.wait(lambda: watcher.states[-1][2] > 0.5)
     before = len(watcher.states)
@@ -436,9 +406,9 @@ def test_another_publisher_of_the_joint_is_a_fault_that_names_it(
 
 
 @pytest.mark.ros
-def test_frozen_values_with_running_stamps_end_at_the_error_limit(processes, watcher, robot):
+def test_frozen_values_with_running_stamps_end_at_the_error_limit(watcher, robot):
     limit = load_configuration(CONFIG).safety.error_limit
-    start(processes, watcher, robot, '-p', f'safety.error_limit:={limit}')
+    robot.start('-p', f'safety.error_limit:={limit}')
     watcher.running()
     watcher.wait(lambda: abs(watcher.states[-1][3]) < 1e-3)     # at rest
     robot.do('stuck')
@@ -459,8 +429,8 @@ def test_frozen_values_with_running_stamps_end_at_the_error_limit(processes, wat
 
 @pytest.mark.ros
 def test_commands_of_an_inactive_controller_do_nothing_and_are_forgotten(
-        processes, watcher, robot):
-    start(processes, watcher, robot, '-p', 'safety.error_limit:=0.5', active=False)
+        watcher, robot):
+    robot.start('-p', 'safety.error_limit:=0.5', active=False)
     # Nobody can tell but by the error that grows: that is what error_limit is for.
     watcher.wait_for_mode(controller_node='fault')
     assert watcher.modes()['controller_node'][1].startswith('error ')
@@ -474,9 +444,9 @@ def test_commands_of_an_inactive_controller_do_nothing_and_are_forgotten(
 
 @pytest.mark.ros
 def test_a_dead_process_leaves_the_last_command_in_the_controller(
-        processes, watcher, robot):
+        watcher, robot):
     # What docs/ros2_control.md warns of, and why the hardware needs a watchdog.
-    nodes = start(processes, watcher, robot)
+    nodes = robot.start()
     watcher.running()
     watcher.wait(lambda: robot.held != 0.0)
     nodes['actuator_node'].signal(9)
@@ -488,10 +458,8 @@ def test_a_dead_process_leaves_the_last_command_in_the_controller(
 
 
 @pytest.mark.ros
-def test_the_conformance_kit_finds_nothing_wrong(kit, processes, watcher, robot):
-    processes(str(STAND_IN), CONFIG, 'forward', PYTHONPATH=str(ROOT)).wait_for_line('controllers')
-    robot.do('activate')
-    watcher.wait(lambda: robot.interface and robot.interface[-1][0])
+def test_the_conformance_kit_finds_nothing_wrong(kit, watcher, robot):
+    robot.stand_in()
     found = kit('joint', '--config', CONFIG, '--set', 'driver.fresh=100', '--set',
                 'safety.command_hold=20')
     # ros2_control's controllers do not tell which command they hold.
@@ -501,9 +469,7 @@ def test_the_conformance_kit_finds_nothing_wrong(kit, processes, watcher, robot)
 
 @pytest.mark.ros
 def test_its_dead_zone_is_found(processes, watcher, robot, tmp_path):
-    processes(str(STAND_IN), CONFIG, 'forward', PYTHONPATH=str(ROOT)).wait_for_line('controllers')
-    robot.do('activate')
-    watcher.wait(lambda: robot.interface and robot.interface[-1][0])
+    robot.stand_in()
     for attempt in range(4):    # a machine that stalls may lose too many states for an answer
         out = tmp_path / f'found{attempt}'
         found = processes('-m', 'dz_ros', 'driver', 'identify', CONFIG, '--travel', '3', '--speed',

@@ -131,6 +131,12 @@ class Cia402(Driver):
         return super().resolution or abs(self.scaling.position)
 
     @property
+    def derivative_resolution(self) -> tuple[float, ...]:
+        """One number of its velocity [unit of x'], where that is taken."""
+        known = super().derivative_resolution
+        return known or ((abs(self.scaling.velocity),) if self.measured > 1 else ())
+
+    @property
     def command_resolution(self) -> float:
         """One number of the target object: a per mille of the rated torque, or a speed count."""
         return super().command_resolution or 1.0 / abs(self.scaling.command)

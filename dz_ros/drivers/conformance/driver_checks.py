@@ -4,7 +4,7 @@
 `check_contract` opens the driver, runs it at the loop's rate with commands of at most `amplitude`,
 and checks each sentence of ``drivers/contract.py``. What reached the device is known by
 `applied_command` alone; what cannot be seen is reported as unseen, never passed. Of a slow call
-only the time in which the machine ran its processes counts (``machine.py``). The second half,
+only the time in which the machine let it run counts (``machine.py``). The second half,
 through topics, is ``nodes/check_node.py``.
 
 Over 300 lines: one function for each sentence of the contract.
@@ -19,7 +19,7 @@ from typing import Any
 
 from dz_ros.core import schema
 from dz_ros.core.configuration import Configuration
-from dz_ros.drivers.conformance.machine import lateness, MachineWatch, overlap
+from dz_ros.drivers.conformance.machine import lateness, MachineWatch, overlap, RunQueue
 from dz_ros.drivers.conformance.result import Result
 from dz_ros.drivers.contract import Driver
 from dz_ros.drivers.hosted import checked, error_text, HostedDriver
@@ -237,12 +237,13 @@ def _runs(subject: _Subject, amplitude: Any, watch: MachineWatch) -> Iterator[Re
     hosted, missed = subject.hosted, 0
     calls, fault = [], ''
     watch.stalls()
-    for k in subject.samples(count):
-        started = time.monotonic()
-        hosted.command(subject.from_safe(amplitude, wave(k / count)), subject.t)
-        missed += hosted.measure(subject.t) is None
-        fault = fault or hosted.fault()
-        calls.append((started, time.monotonic()))
+    with RunQueue() as queue:
+        for k in subject.samples(count):
+            waited, started = queue.waited(), time.monotonic()
+            hosted.command(subject.from_safe(amplitude, wave(k / count)), subject.t)
+            missed += hosted.measure(subject.t) is None
+            fault = fault or hosted.fault()
+            calls.append((started, time.monotonic(), queue.waited() - waited))
     stalls = watch.stalls()
     least = math.ceil(LEAST_MEASURED_SHARE * count)
     yield Result('measurement', count - missed >= least, f'{count - missed} of {count} samples',
@@ -251,10 +252,11 @@ def _runs(subject: _Subject, amplitude: Any, watch: MachineWatch) -> Iterator[Re
                      f'{missed} samples without a measurement of {subject.measured} finite '
                      'numbers', lateness(stalls)))))
     half = 0.5 * subject.period
-    slow = [(begin, end) for begin, end in calls if end - begin > half]
-    own = sum(end - begin - overlap(stalls, begin, end) > half for begin, end in slow)
+    slow = [call for call in calls if call[1] - call[0] > half]
+    own = sum(end - begin - max(waited, overlap(stalls, begin, end)) > half
+              for begin, end, waited in slow)
     more = f' and {len(slow) - own} while the machine was late' if len(slow) > own else ''
-    longest = max(end - begin for begin, end in calls)
+    longest = max(end - begin for begin, end, _ in calls)
     allowed = max(3, round(MOST_SLOW_SHARE * count))
     yield Result('answers at once', own <= allowed,
                  f'longest {longest * 1e3:.3f} ms, {own} samples beyond half a period{more}',
