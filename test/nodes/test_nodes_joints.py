@@ -208,7 +208,6 @@ def test_asking_one_joint_alone_does_not_tear_a_sample_apart(hosted):
                                '/effort_controller/commands: is the controller loaded?')
 
 
-
 def test_nothing_is_sent_before_the_controller_has_answered_again(hosted):
     machine, node = hosted()
     machine.driver.states.receive(state(['joint1', 'joint2', 'joint3']), 1)
