@@ -17,6 +17,7 @@ import sys
 
 import numpy as np
 
+from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.certificate import certify
 from dz_ros.core.design.intervals import NotEnclosedError
 from dz_ros.errors import ConfigurationError
@@ -52,18 +53,22 @@ def replace_rows(head: list[str], name: str, found: list[str]) -> None:
     before, _, rest = PAGE.read_text(encoding='utf-8').partition(BEGIN)
     table, _, after = rest.partition(END)
     kept = [line for line in table.strip().splitlines()[2:]
-            if line.split('|')[1].strip() != f'`{name}`']
+            if line.split('|')[1].strip().partition(',')[0] != f'`{name}`']
     lines = sorted((*kept, *found), key=lambda line: line.split('|')[1])
     PAGE.write_text('\n'.join([before + BEGIN, *head, *lines, END + after]), encoding='utf-8')
 
 
 def rows(name: str, count: int) -> tuple[list[str], bool]:
-    """Return the lines of one configuration, and whether a run exceeds its bound."""
-    try:
-        configuration = load_configuration(name)
-    except ConfigurationError as error:     # of several axes
-        return [f'| `{name}` | | | no | | | | {error} |'], False
-    head = f'| `{name}` | `{configuration.law.name}`'
+    """Return the lines of one configuration, of several axes of each, and as `rows_of`."""
+    machine = load_configuration(name)
+    found = [rows_of(f'`{name}`' + (f', {axis}' if axis else ''), own, count)
+             for axis, own in machine.axes or (('', machine),)]
+    return [line for lines, _ in found for line in lines], any(broken for _, broken in found)
+
+
+def rows_of(title: str, configuration: Configuration, count: int) -> tuple[list[str], bool]:
+    """Return the lines of one axis, and whether a run exceeds its bound."""
+    head = f'| {title} | `{configuration.law.name}`'
     try:
         certificate = certify(configuration)
     except (ConfigurationError, NotEnclosedError) as error:

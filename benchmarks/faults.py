@@ -85,7 +85,7 @@ class Outcome:
 def run_case(case: Case, window: float) -> Outcome:
     """Inject one fault into a loop of its own."""
     outcome = Outcome(case.name, case.must)
-    settings = {**case.settings, **({'loop.peers': ['nobody']} if case.network else {})}
+    settings = {**case.settings, **({'loop.peers': []} if case.network else {})}
     with tempfile.TemporaryDirectory(prefix='dz_ros-fault-') as folder:
         parameters, port = Path(folder) / 'parameters.yaml', Path(folder) / 'port'
         if case.device or case.joint:

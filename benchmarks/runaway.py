@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The runaway guard: false alarms in healthy loops, and when it stops a device of the wrong sign.
 
-    python benchmarks/runaway.py            print both tables
+    python benchmarks/runaway.py            print the tables
     python benchmarks/runaway.py --write    write them into docs/safety.md
+    python benchmarks/runaway.py --only load --write    the last one alone: five minutes, with ROS
 
 False alarms: every law in every scenario of the arena, and every shipped configuration, simulated;
 the guard judges each sample as the controller's end does, with the b of the example where the
@@ -10,6 +11,9 @@ scenario has another. Once with the a_i that the plant has, and once each with a
 guard's model half and one and a half of them. Wrong sign: the
 controller itself drives the mock driver, whose commands act reversed from the first sample on, or
 from 10 s on; its command is limited to one and a half times what the healthy loop takes.
+
+Beside load: loops over topics with processes that compute all the time, at the priority of the
+loop, with half of the default runaway_time; first healthy ones, then the wrong sign.
 """
 
 from __future__ import annotations
@@ -17,11 +21,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+import json
 import math
+import os
 from pathlib import Path
+import subprocess
 import sys
+import tempfile
 from typing import Any
 
+from machine import describe
 import numpy as np
 
 from dz_ros.core.configuration import Configuration
@@ -34,12 +43,15 @@ from dz_ros.core.safety.runaway import REASON, RunawayGuard
 from dz_ros.core.safety.settings import SafetySettings
 from dz_ros.errors import LoopError
 from dz_ros.files.configurations import load_configuration, shipped_configurations
+from dz_ros.recording.reader import read_run
 from dz_ros.studies.arena import Plan
 from dz_ros.studies.scenarios import base_configuration
 
-PAGE = Path(__file__).resolve().parent.parent / 'docs' / 'safety.md'
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / 'docs' / 'safety.md'
 ALARMS = '<!-- false alarms: benchmarks/runaway.py writes it -->'
 SIGN = '<!-- wrong sign: benchmarks/runaway.py writes it -->'
+LOAD = '<!-- beside load: benchmarks/runaway.py writes it -->'
 END = '<!-- end of runaway -->'
 LIMIT = SafetySettings().runaway_time
 MODELS = (1.0, 0.5, 1.5)
@@ -48,6 +60,15 @@ LOST = 1.0
 """A loop whose error of x is larger than this over the last 10 s does not follow."""
 BEGINS = (0.0, 10.0)
 """When the sign turns [s]."""
+BURNERS = 4
+"""Processes that compute beside a loop."""
+LOADED = ('robust_eso', 'wang2004', 'servo', 'pendulum', 'first_order')
+"""Configurations that run beside them; a healthy loop of theirs is never against the command for
+as long as `STRICT`, by the first table."""
+STRICT = 0.5 * LIMIT
+"""runaway_time beside load [s]."""
+OLD = 2.5
+"""A state that echoes an older command makes the controller's end begin again [samples]."""
 HEALTHY, ROOM = 12.0, 1.5
 """The limit of the command is the second of these times the largest |v| of the healthy loop in the
 first number of s."""
@@ -198,11 +219,72 @@ def sign_lines(laws: Sequence[str] | None) -> list[str]:
     return lines
 
 
+def loaded_run(name: str, duration: float, folder: Path, *settings: str) -> tuple[list[str], str]:
+    """Run a loop over topics beside load; return cells of its row, and what stopped it.
+
+    Raises:
+        SystemExit: It recorded nothing.
+    """
+    words = ['safety.fault_after=100000', f'safety.runaway_time={STRICT}', *settings]
+    busy = [subprocess.Popen([sys.executable, '-c', 'while True: pass']) for _ in range(BURNERS)]
+    try:
+        done = subprocess.run(
+            [sys.executable, '-m', 'dz_ros', 'run', name, '--duration', str(duration), '--quiet',
+             '--record', str(folder), *(item for word in words for item in ('--set', word))],
+            env={'ROS_DOMAIN_ID': '86', **os.environ}, capture_output=True, text=True, check=False)
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    if not folder.exists():
+        sys.exit(f'{name} did not run: {done.stdout}{done.stderr}')
+    data = read_run(folder)
+    state, period = data.channels['state'], 1.0 / data.configuration['loop.rate']
+    skipped = np.round(np.diff(state['stamp']) / period).astype(int) - 1
+    age = (state['stamp'] - state['echo_stamp']) / period
+    counted = {'controller_node': 0, 'actuator': 0}
+    stopped = ''
+    for _, _, text in data.events:
+        event = json.loads(text)
+        if event['event'] == 'mode' and event['mode'] == 'fault' and REASON in event['reason']:
+            end = event['node'].strip('/')
+            counted[end if end in counted else 'actuator'] += 1
+            stopped = stopped or ('controller' if end == 'controller_node' else 'actuator')
+    active = data.channels['terms']['dt'] > 0.0
+    return [f'{len(state)}', f'{int(active.sum())}', f'{int(skipped.sum())}',
+            f'{int((age[1:] > OLD).sum())}', f'{age[1:].max():.0f}',
+            f'{counted["controller_node"]}', f'{counted["actuator"]}'], stopped
+
+
+def load_lines(duration: float) -> list[str]:
+    """Return the table of loops beside load."""
+    lines = ['| loop | states | steps of the law | samples skipped | states with an old command '
+             '| oldest [samples] | alarms, controller | alarms, actuator | stopped by |',
+             f'|{"---|" * 9}']
+    with tempfile.TemporaryDirectory() as folder:
+        for name in LOADED:
+            cells, stopped = loaded_run(name, duration, Path(folder) / name)
+            lines.append(f'| {name} | {" | ".join(cells)} | {stopped or "-"} |')
+            print(lines[-1], file=sys.stderr, flush=True)
+        for name in LOADED[:3]:
+            c = devices()[name]
+            peak = float(np.abs(simulate(c.replace(**{'loop.duration': HEALTHY})).v).max())
+            cells, stopped = loaded_run(
+                name, 10.0, Path(folder) / f'{name}-reversed', 'driver.name=mock',
+                'driver.script=["0- reversed"]', f'safety.command_limit={ROOM * peak}',
+                'safety.error_limit=0.0')
+            lines.append(f'| {name}, reversed | {" | ".join(cells)} | {stopped or "-"} |')
+            print(lines[-1], file=sys.stderr, flush=True)
+    return [f'{describe("ros-rclpy")}; {BURNERS} processes that compute beside each loop, '
+            f'{duration:g} s each:', '', *lines]
+
+
 def main() -> int:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--write', action='store_true', help=f'write into docs/{PAGE.name}')
-    parser.add_argument('--only', choices=('alarms', 'sign'), help='one of the tables')
+    parser.add_argument('--only', choices=('alarms', 'sign', 'load'),
+                        help='one of the tables')
     parser.add_argument('--laws', help='laws of the arena, separated by commas (default: all)')
     parser.add_argument('--duration', type=float, default=60.0, help='of each run [s]')
     parser.add_argument('--seeds', type=int, default=5, help='of the scenarios with noise')
@@ -210,10 +292,12 @@ def main() -> int:
     laws = arguments.laws.split(',') if arguments.laws else None
 
     tables = {}
-    if arguments.only != 'sign':
+    if arguments.only in (None, 'alarms'):
         tables[ALARMS] = alarm_lines(laws, arguments.duration, arguments.seeds)
-    if arguments.only != 'alarms':
+    if arguments.only in (None, 'sign'):
         tables[SIGN] = sign_lines(laws)
+    if arguments.only in (None, 'load'):
+        tables[LOAD] = load_lines(arguments.duration)
     text = PAGE.read_text(encoding='utf-8')
     for marker, lines in tables.items():
         print('\n'.join(lines), flush=True)

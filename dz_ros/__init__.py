@@ -5,9 +5,14 @@
 imported at first use, so that this import loads neither numpy nor ROS.
 """
 
-from typing import Any
+from __future__ import annotations
 
-__all__ = ['Comparison', 'Findings', 'Run', 'check', 'compare', 'from_control', 'load', 'read',
+TYPE_CHECKING = False       # typing takes as long to import as all of Python's start
+if TYPE_CHECKING:
+    from typing import Any
+
+__all__ = ['Comparison', 'Configuration', 'DzRosError', 'Findings', 'Law', 'Plant', 'Run',
+           'Trajectory', 'check', 'compare', 'from_control', 'load', 'parameter', 'read',
            'simulate', 'sweep', 'to_control']
 
 

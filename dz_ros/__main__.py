@@ -1,26 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``dz`` and ``python -m dz_ros``: an interrupt during start ends with one line, no traceback."""
+"""``dz`` and ``python -m dz_ros``: an interrupt during start ends with one line, no traceback.
+
+An interrupt before the first line of this, while Python itself starts, is answered by Python.
+"""
 
 import os
 import sys
 
-from dz_ros.runtime.import_path import drop_current_folder
-
 
 def main() -> int:
     """Run ``dz`` with the arguments of this process; return its exit code."""
-    drop_current_folder()
-    import signal
+    # Built in: signal imports others, and a folder could shadow it.
+    import _signal  # type: ignore[import-not-found]
 
     def end(_number: int, _frame: object) -> None:
         os.write(2, b'dz: interrupted\n')
         os._exit(130)
 
-    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-        signal.signal(signal.SIGINT, end)
+    if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
+        _signal.signal(_signal.SIGINT, end)
+    from dz_ros.runtime.import_path import drop_current_folder
+
+    drop_current_folder()
     from dz_ros.cli.main import main as dz
 
-    return dz()
+    try:
+        return dz()
+    except KeyboardInterrupt:       # while the end of an earlier one, or of the program, was made
+        os._exit(130)
 
 
 if __name__ == '__main__':

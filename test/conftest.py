@@ -251,6 +251,22 @@ def processes() -> Iterator[StartProcess]:
             process.end()
 
 
+@pytest.fixture
+def cluster(processes: StartProcess) -> tuple[str, list[Process]]:
+    """Start a dask.distributed scheduler and two workers; return address and workers."""
+    pytest.importorskip('distributed', reason='dask.distributed is not installed: no cluster')
+    scheduler = processes('-m', 'distributed.cli.dask_scheduler', '--host', '127.0.0.1', '--port',
+                          '0', '--no-dashboard')
+    line = scheduler.wait_for_line('Scheduler at:')
+    address = line.rpartition(' ')[2].strip()
+    workers = [processes('-m', 'distributed.cli.dask_worker', address, '--nthreads', '1',
+                         '--no-nanny', '--no-dashboard', '--name', f'worker{i}')
+               for i in range(2)]
+    for worker in workers:
+        worker.wait_for_line('Registered to')
+    return address, workers
+
+
 class SmallDisk:
     """A file system of a few kilobytes that only programs started by `enter` see by its path.
 
@@ -323,33 +339,41 @@ def compiled(folder, name, *arguments, sanitized=False):
 
 @pytest.fixture(scope='session')
 def firmware(tmp_path_factory):
-    """Return the reference firmware as a program for this machine."""
-    return compiled(tmp_path_factory.mktemp('firmware'), 'firmware', 'dz_device.c', 'line_main.c',
-                    '-lm')
+    """Return ``make(motors)``: the reference firmware as a program for this machine."""
+    return functools.cache(lambda motors=1: compiled(
+        tmp_path_factory.mktemp('firmware'), 'firmware', f'-DDZ_MOTORS={motors}', 'dz_device.c',
+        'line_main.c', '-lm'))
 
 
 @pytest.fixture(scope='session')
 def firmware_library(tmp_path_factory):
-    """Return the firmware's portable part as a shared library."""
-    return compiled(tmp_path_factory.mktemp('firmware'), 'dz_device.so', '-shared', '-fPIC',
-                    'dz_device.c', sanitized=True)
+    """Return ``make(motors)``: the firmware's portable part as a shared library."""
+    return functools.cache(lambda motors: compiled(
+        tmp_path_factory.mktemp('firmware'), 'dz_device.so', '-shared', '-fPIC',
+        f'-DDZ_MOTORS={motors}', 'dz_device.c', sanitized=True))
+
+
+SERIAL_AXES = ('pan', 'tilt', 'roll')
+"""Axes behind the motors of a serial device."""
 
 
 @pytest.fixture(params=['emulated', 'firmware'])
 def serial_device(request, processes, tmp_path):
-    """Return a function that starts a device on a serial line with faults, and its `port`."""
+    """Return a function that starts a device on a serial line with faults; `port`, `axes`."""
     port = tmp_path / 'port'
-    options = ['-o', f'link={port}']
-    if request.param == 'firmware':
-        options += ['-o', f'program={request.getfixturevalue("firmware")}']
 
-    def start(*faults):
+    def start(*faults, motors=1):
+        options = ['-o', f'link={port}']
+        if motors > 1:
+            options += ['--set', f'loop.axes=[{", ".join(SERIAL_AXES[:motors])}]']
+        if request.param == 'firmware':
+            options += ['-o', f'program={request.getfixturevalue("firmware")(motors)}']
         process = processes('-m', 'dz_ros', 'driver', 'emulate', 'serial', 'serial', *options,
                             *(word for fault in faults for word in ('--fault', fault)))
         process.wait_for_line('serial device on')
         return process
 
-    start.port = port
+    start.port, start.axes = port, SERIAL_AXES
     return start
 
 

@@ -5,8 +5,6 @@ from itertools import pairwise
 import json
 from pathlib import Path
 import re
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 
 import pytest
@@ -96,17 +94,3 @@ def test_rosdoc2_takes_the_site():
     parts = list(yaml.safe_load_all((ROOT / 'rosdoc2.yaml').read_text(encoding='utf-8')))
     folder = parts[1]['builders'][0]['sphinx']['sphinx_sourcedir']
     assert (ROOT / folder / 'conf.py').is_file()
-
-
-def test_the_generated_reference_has_every_key_verb_event_and_signal(tmp_path):
-    subprocess.run([sys.executable, str(ROOT / 'tools' / 'make_reference.py'), str(tmp_path)],
-                   check=True, timeout=120)
-    text = {path.stem: path.read_text(encoding='utf-8') for path in tmp_path.glob('*.md')}
-    for name, words in (('keys', ('`controller.lambda`', '`plant.dead_zone.b_r`', 'rad/s')),
-                        ('verbs', ('### dz bag audit', '### dz run')),
-                        ('events', ('## configuration', '`memory`')),
-                        ('signals', ('`theta1`', '`v_robust`', '`phi`')),
-                        ('messages', ('`state`', 'transient\\_local')),
-                        ('api', ('dz_ros.simulate',)), ('configurations', ('## wang2004',))):
-        for word in words:
-            assert word in text[name], (name, word)

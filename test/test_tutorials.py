@@ -38,7 +38,8 @@ def test_there_are_tutorials():
 
 
 @pytest.mark.parametrize('path', TUTORIALS, ids=lambda path: path.stem)
-def test_the_commands_of_a_tutorial(path, tmp_path):
+def test_the_commands_of_a_tutorial(path, tmp_path, ros_domain):
+    assert os.environ['ROS_DOMAIN_ID'] == str(ros_domain)    # dz driver check has a node as well
     out = run(path, tmp_path, dict(os.environ), with_ros=False)
     if any('dz simulate' in text for _, text in blocks(path)):
         assert 'max |x̃|' in out

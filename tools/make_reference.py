@@ -27,7 +27,7 @@ from dz_ros.core.deadzone import DeadZone  # noqa: E402
 from dz_ros.core.events import KINDS  # noqa: E402
 from dz_ros.core.laws import LAWS  # noqa: E402
 from dz_ros.core.plants import PLANTS  # noqa: E402
-from dz_ros.core.records import Command, Reference, State, Truth  # noqa: E402
+from dz_ros.core.records import Command, Reference, State, Terms, Truth  # noqa: E402
 from dz_ros.core.signals import Signal, TERMS  # noqa: E402
 from dz_ros.errors import DzRosError  # noqa: E402
 from dz_ros.files.configurations import shipped_configurations  # noqa: E402
@@ -122,13 +122,15 @@ def messages() -> Iterator[str]:
     yield from _table(('topic', 'type', 'reliability', 'durability', 'carries'), [
         (f'`{item.name}`', item.type.name, item.qos.reliability, item.qos.durability,
          item.description) for item in CHANNELS.values()])
-    yield '\nFields of the arrays, for a plant of order 2:\n'
-    fields = {'reference': Reference.labels(2), 'state': State.labels(2),
-              'command': Command.labels(), 'truth': Truth.labels()}
-    yield from _table(('topic', 'fields'), [
-        (f'`{topic}`', ', '.join(f'`{name}`' for name in names))
-        for topic, names in fields.items()])
-    yield '\nThe fields of `terms` follow from the law: [Signals](signals.md).'
+    yield ('\nFields of the arrays, in order, for a plant of order 2; units are expressions as in '
+           '[Signals](signals.md). In `terms` the signals of the law follow.\n')
+    for topic, items in {'reference': Reference.fields(2), 'state': State.fields(2),
+                         'command': Command.fields(), 'terms': Terms.fields(()),
+                         'truth': Truth.fields()}.items():
+        yield f'\n## {topic}\n'
+        yield from _table(('field', 'unit', 'meaning'), [
+            (f'`{item.name}`', f'`{item.unit}`' if item.unit else '–', item.meaning)
+            for item in items])
 
 
 def events() -> Iterator[str]:
@@ -141,16 +143,17 @@ def events() -> Iterator[str]:
         lines = inspect.cleandoc(kind.__doc__ or '').splitlines()
         yield f'\n## {name}\n'
         yield f'{_escaped(lines[0])}\n'
-        described = _attributes(lines)
+        described = {name: text for item in reversed(kind.__mro__[:-1])
+                     for name, text in _attributes(item.__doc__ or '').items()}
         yield from _table(('field', 'meaning'), [
             (f'`{item.name}`', described.get(item.name, '')) for item in members(kind)
             if item.name != 'more'])
 
 
-def _attributes(lines: list[str]) -> dict[str, str]:
+def _attributes(docstring: str) -> dict[str, str]:
     """Return name → meaning of the section Attributes of a docstring."""
-    found: dict[str, str] = {'node': 'fully qualified name of the node'}
-    text = '\n'.join(lines).partition('Attributes:\n')[2]
+    found: dict[str, str] = {}
+    text = inspect.cleandoc(docstring).partition('Attributes:\n')[2]
     for match in re.finditer(r'^    ([\w, ]+): (.*(?:\n {8,}.*)*)', text, re.MULTILINE):
         for name in match[1].split(', '):
             found[name.strip()] = ' '.join(match[2].split())

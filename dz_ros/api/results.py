@@ -131,7 +131,7 @@ class Run:
     def __repr__(self) -> str:
         """Return one line: what ran, how long, how well."""
         setting, metrics = self.view.setting, self.metrics
-        unit = f' {setting.unit("x")}'.rstrip()
+        unit = f' {setting.unit("x")}'.removesuffix(' 1').rstrip()
         error = '' if metrics.error_max is None else f', max|x̃| {metrics.error_max:.4g}{unit}'
         name = f'{self.name}: ' if self.name else ''
         return (f'<Run {name}{setting.law or "?"} on {setting.plant or "?"}, {len(self)} samples, '

@@ -8,7 +8,7 @@ from pathlib import Path
 import sys
 
 from dz_ros.cli.interrupt import prompt_end
-from dz_ros.cli.progress import Progress
+from dz_ros.cli.progress import Progress, stage
 from dz_ros.core.loop.compiled import available
 from dz_ros.errors import ConfigurationError
 from dz_ros.studies.arena import Plan, run_arena
@@ -67,13 +67,15 @@ def run(arguments: argparse.Namespace) -> int:
         print("dz: note: without numba this takes long: pip install 'dz_ros[numba]'",
               file=sys.stderr)
     with prompt_end():
-        arena = run_arena(plan, arguments.jobs, progress=Progress(plan.runs, arguments.quiet))
+        arena = run_arena(plan, arguments.jobs, progress=Progress(plan.runs))
     if arguments.csv:
         print(arena.csv(), end='')
     else:
         print(format_text(arena), '', conditions(arena), '', format_beaten(arena), sep='\n')
     if arguments.out is not None:
-        print(write_arena(arena, arguments.out), file=sys.stderr if arguments.csv else sys.stdout)
+        with stage('drawing the page'):
+            page = write_arena(arena, arguments.out)
+        print(page, file=sys.stderr if arguments.csv else sys.stdout)
     return 0
 
 
@@ -88,10 +90,11 @@ def _retune(arguments: argparse.Namespace, plan: Plan) -> int:
             raise ConfigurationError(key, value, f'must be at least {least}')
     laws = {name: item for name, item in plan.entrants.items() if not name.startswith(IDEAL)}
     searches = len(laws) * (1 + len(plan.scenarios)) * arguments.searches
-    with prompt_end():
+    with prompt_end(lambda: f'finished searches are kept in {arguments.retune}; the same command '
+                            'goes on'):
         found = retune(laws, list(plan.scenarios), arguments.retune, plan.duration, plan.seeds,
                        arguments.searches, arguments.budget, arguments.jobs, arguments.cluster,
-                       Progress(searches, arguments.quiet))
+                       Progress(searches))
     print(summary(found), '', *table(found), '', *gains_table(found), '', *errors_table(found),
           sep='\n')
     return 0

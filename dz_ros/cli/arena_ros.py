@@ -70,17 +70,22 @@ def difference(through_ros: RunData, offline: RunData) -> str:
         found, wanted = through_ros.channels.get(name), offline.channels[name]
         if found is None:
             return f'{name} was not recorded'
-        count = len(found)
+        # What waits for its answer for long is sent again: each message has its own sample.
+        seq = found['seq']
+        known = np.unique(seq)
         # The last sample has no successor: a loop that ends may leave its command out.
-        if count < len(wanted) - 1 or list(found['seq']) != list(range(count)):
-            return f'{name} has {count} of {len(wanted)} samples'
+        if len(known) < len(wanted) - 1 or not np.array_equal(known, np.arange(len(known))):
+            return f'{name} has {len(known)} of {len(wanted)} samples'
+        rows = np.flatnonzero(seq < len(wanted))
+        sample = seq[rows].astype(np.int64)
         for label in wanted.labels:
             if not label.startswith(begin) or label in _OF_TRANSPORT:
                 continue
-            place = _first_difference(found[label][:len(wanted)], wanted[label][:count])
+            place = _first_difference(found[label][rows], wanted[label][sample])
             if place is not None:
-                return (f'{name}.{label} differs from sample {place} on: '
-                        f'{found[label][place]!r} instead of {wanted[label][place]!r}')
+                return (f'{name}.{label} differs from sample {sample[place]} on: '
+                        f'{found[label][rows[place]]!r} instead of '
+                        f'{wanted[label][sample[place]]!r}')
     return ''
 
 

@@ -11,9 +11,10 @@ from dataclasses import asdict
 from pathlib import Path
 import textwrap
 
+from dz_ros.cli.interrupt import prompt_end
 from dz_ros.cli.options import add_configuration, read_configuration
 from dz_ros.cli.output import print_json
-from dz_ros.cli.progress import NOTICED, Progress
+from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.certificate import Certificate, certify
 from dz_ros.errors import ConfigurationError
@@ -46,17 +47,18 @@ def run(arguments: argparse.Namespace) -> int:
                                  'exists already; choose another file')
     configuration = read_configuration(arguments)
     largest = (max(1, configuration.loop.delay) if arguments.delay is None else arguments.delay)
-    found = certify(configuration, range(largest + 1), progress=Progress(
-        largest + 1, arguments.json, 'delays', NOTICED))
+    with prompt_end(), stage('enclosing the loop for each delay') as step:
+        found = certify(configuration, range(largest + 1), progress=step)
     if arguments.json:
         print_json(jsonable({'certified': found.certified,
                              'error_bound': list(found.error_bound), **asdict(found)}))
     else:
         print(format_certificate(found, configuration))
     if arguments.picture is not None:
-        runs = [list(random_runs(configuration, found, item.delay, RUNS))
-                for item in found.delays]
-        arguments.picture.write_bytes(certificate_picture(found, runs).png())
+        with prompt_end(), stage(f'simulating {RUNS} runs for each delay, drawing'):
+            runs = [list(random_runs(configuration, found, item.delay, RUNS))
+                    for item in found.delays]
+            arguments.picture.write_bytes(certificate_picture(found, runs).png())
         if not arguments.json:
             for item, own in zip(found.delays, runs, strict=True):
                 most = max(reached(each)[0] for each in own)

@@ -16,6 +16,7 @@ import textwrap
 
 from dz_ros.cli.options import add_configuration, read_machine
 from dz_ros.cli.output import print_json
+from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.finding import ERROR, Finding, INFO, WARNING, worst
 from dz_ros.core.design.rules import check
@@ -62,7 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def stability_limit(configuration: Configuration) -> float | None:
     """Return the largest λ of a calm loop [1/s]; None where the law has no λ."""
-    return lambda_limit(configuration) if has_slope(configuration) else None
+    if not has_slope(configuration):
+        return None
+    with stage('searching the largest λ of a calm loop'):
+        return lambda_limit(configuration)
 
 
 def format_findings(findings: Iterable[Finding]) -> str:

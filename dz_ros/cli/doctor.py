@@ -19,6 +19,7 @@ import sys
 from typing import Any
 
 from dz_ros.cli.processes import python_environment
+from dz_ros.cli.progress import stage
 from dz_ros.core.statistics import LATE, percentile
 from dz_ros.errors import LoopError
 from dz_ros.runtime.privileges import ADVICE, usable_cores
@@ -46,8 +47,9 @@ def run(arguments: argparse.Namespace) -> int:
         f"process.cores: '{last}'": ['--cores', str(last)],
         'process.priority: 50': ['--priority', '50'],
         'all of them': ['--lock', '--cores', str(last), '--priority', '50']}
-    idle = {name: measure(words, arguments.seconds) for name, words in setups.items()}
-    with _load(len(setups) * (arguments.seconds + WHOLE)):
+    with stage('measuring an idle machine'):
+        idle = {name: measure(words, arguments.seconds) for name, words in setups.items()}
+    with _load(len(setups) * (arguments.seconds + WHOLE)), stage('measuring a busy machine'):
         busy = {name: measure(words, arguments.seconds) for name, words in setups.items()
                 if not idle[name]['refused']}
     machine = _machine()
@@ -95,9 +97,9 @@ def measure(words: Sequence[str], seconds: float) -> dict[str, Any]:
     Raises:
         LoopError: It failed.
     """
-    done = subprocess.run(
+    done = subprocess.run(      # in a session of its own: Ctrl-C is answered here alone
         [sys.executable, '-m', 'dz_ros.runtime.probe', '--duration', str(seconds), *words],
-        env=python_environment(),
+        env=python_environment(), start_new_session=True,
         capture_output=True, text=True, check=False, timeout=WHOLE + seconds)
     if done.returncode:
         raise LoopError(f'a measurement failed: {done.stderr.strip().splitlines()[-1:]}')
@@ -115,7 +117,8 @@ def summary(ordered: Sequence[float]) -> dict[str, Any]:
 @contextlib.contextmanager
 def _load(limit: float) -> Iterator[None]:
     """Keep every core busy for at most `limit` [s]."""
-    busy = [subprocess.Popen([sys.executable, '-c', BUSY, str(limit)]) for _ in usable_cores()]
+    busy = [subprocess.Popen([sys.executable, '-c', BUSY, str(limit)], start_new_session=True)
+            for _ in usable_cores()]
     try:
         yield
     finally:

@@ -20,6 +20,7 @@ import threading
 LIMIT = 0.8
 """Longest time from the signal to the end of the process [s]."""
 INTERRUPTED = 128 + 2
+NOTHING_KEPT = 'nothing is kept; the same command begins again'
 
 
 def line(kept: str = '') -> str:
@@ -28,11 +29,12 @@ def line(kept: str = '') -> str:
 
 
 @contextmanager
-def prompt_end(kept: Callable[[], str] = str) -> Iterator[None]:
+def prompt_end(kept: Callable[[], str] = lambda: NOTHING_KEPT) -> Iterator[None]:
     """Raise KeyboardInterrupt for SIGINT; end the process itself where that does not end in time.
 
     Args:
-        kept: Returns what was kept and how to go on, printed where the process is ended.
+        kept: Returns what was kept and how to go on: the text of the KeyboardInterrupt, printed
+            here where the process is ended.
     """
     if (threading.current_thread() is not threading.main_thread()
             or signal.getsignal(signal.SIGINT) == signal.SIG_IGN):      # as nohup arranges
@@ -40,11 +42,14 @@ def prompt_end(kept: Callable[[], str] = str) -> Iterator[None]:
         return
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
-    over = threading.Event()
+    over, asked = threading.Event(), threading.Event()
 
     def watch() -> None:
         while number := os.read(reading, 1):
-            if number[0] == signal.SIGINT and not over.wait(LIMIT):
+            if number[0] != signal.SIGINT:
+                continue
+            asked.set()
+            if not over.wait(LIMIT):
                 for process in multiprocessing.active_children():
                     process.kill()
                 for pid in _starting():
@@ -54,7 +59,8 @@ def prompt_end(kept: Callable[[], str] = str) -> Iterator[None]:
                 os._exit(INTERRUPTED)
 
     def unraisable(problem: sys.UnraisableHookArgs) -> None:
-        if problem.exc_type is not KeyboardInterrupt:   # lost in a callback: `watch` ends it
+        # Lost in a callback: `watch` ends it. Else an object that was interrupted half-made.
+        if problem.exc_type is not KeyboardInterrupt and not asked.is_set():
             hook(problem)
 
     hook, sys.unraisablehook = sys.unraisablehook, unraisable
@@ -64,6 +70,8 @@ def prompt_end(kept: Callable[[], str] = str) -> Iterator[None]:
     thread.start()
     try:
         yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(kept()) from None
     finally:
         over.set()
         signal.set_wakeup_fd(wakeup)

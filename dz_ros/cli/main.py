@@ -19,6 +19,7 @@ from typing import Any, NoReturn
 
 from dz_ros.cli.interrupt import INTERRUPTED
 from dz_ros.cli.interrupt import line as interrupt_line
+from dz_ros.cli.progress import silence
 from dz_ros.errors import DzRosError, suggestion
 from dz_ros.runtime.import_path import drop_current_folder
 from dz_ros.runtime.signals import ENDS, ignore_ends
@@ -151,8 +152,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     previous = {number: signal.getsignal(number) for number in ENDS}
     try:
         return _run(list(sys.argv[1:] if argv is None else argv))
-    except KeyboardInterrupt:
-        print(interrupt_line(), file=sys.stderr)
+    except KeyboardInterrupt as end:
+        if argv is None:        # objects that were interrupted half-made have nothing to print
+            sys.unraisablehook = lambda _: None
+        print(interrupt_line(str(end)), file=sys.stderr)
         return INTERRUPTED
     finally:
         if argv is None:
@@ -186,6 +189,7 @@ def _run(words: Sequence[str]) -> int:
     if signal.getsignal(signal.SIGINT) not in (signal.SIG_IGN, None):
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
+        silence(any(getattr(arguments, name, False) for name in ('quiet', 'json')))
         if getattr(arguments, 'allow_import', None):
             from dz_ros.core.registry import allow_import
 
@@ -255,7 +259,7 @@ def _overview() -> str:
     for title, group in GROUPS.items():
         lines.append(f'{title}:')
         for path, verb in group.items():
-            lines += [f'  {" ".join(path):16} {verb.summary}',
-                      f'  {"":16}   dz {" ".join(path)} {verb.example}'.rstrip()]
+            lines += [f'  {" ".join(path):17} {verb.summary}',
+                      f'  {"":17}   dz {" ".join(path)} {verb.example}'.rstrip()]
         lines.append('')
     return '\n'.join([*lines, 'dz VERB --help: options.'])

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.loop.coupled import is_coupled, simulate_axes
 from dz_ros.core.loop.offline import Run, simulate
@@ -34,7 +35,8 @@ def simulate_machine(configuration: Configuration) -> dict[str, Run]:
         return found
     _require_end(configuration)
     try:
-        runs = simulate_axes(configuration)
+        with stage(_simulating(configuration)):
+            runs = simulate_axes(configuration)
     except (OverflowError, ValueError) as error:
         if isinstance(error, ConfigurationError):
             raise
@@ -59,7 +61,8 @@ def simulate_offline(configuration: Configuration,
     """
     _require_end(configuration)
     try:
-        run = simulate(configuration, memory=memory)
+        with stage(_simulating(configuration)):
+            run = simulate(configuration, memory=memory)
     except MemoryError:
         raise ConfigurationError('loop.duration', configuration.loop.duration, 'this machine has '
                                  f'no room for {configuration.loop.samples} samples: must be '
@@ -67,10 +70,15 @@ def simulate_offline(configuration: Configuration,
     except (OverflowError, ValueError) as error:
         if isinstance(error, ConfigurationError):
             raise
-        sample = _first_failing(configuration, memory)
+        with stage('searching the sample from which on the loop diverges'):
+            sample = _first_failing(configuration, memory)
         raise _diverged(sample * configuration.loop.period) from error
     _require_finite(run)
     return run
+
+
+def _simulating(configuration: Configuration) -> str:
+    return f'simulating {configuration.loop.duration:g} s, {configuration.loop.samples} samples'
 
 
 def _require_end(configuration: Configuration) -> None:

@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 import sys
 
+from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration, every_field
 from dz_ros.core.dataset import RunData
 from dz_ros.errors import ConfigurationError, RunExistsError
@@ -20,17 +21,21 @@ from dz_ros.files.configurations import (
 
 def add_configuration(parser: argparse.ArgumentParser,
                       namespace: str = 'whose sections of CONFIG count, where it has some of '
-                      'several loops') -> None:
+                      'several loops', default: str | None = 'robust_eso',
+                      without: str = '') -> None:
     """Declare CONFIG, --duration, --set and --namespace.
 
     Args:
         parser: Of the verb.
         namespace: What the ROS namespace of the loop is used for.
+        default: CONFIG where none is given.
+        without: What is taken where there is no default, for the help.
     """
+    shown = default or without
     config = parser.add_argument(
-        'config', nargs='?', default='robust_eso', metavar='CONFIG',
+        'config', nargs='?', default=default, metavar='CONFIG',
         help='configuration file, or the name of one that comes with dz_ros, see dz list '
-             'configurations (default: %(default)s)')
+             'configurations' + (f' (default: {shown})' if shown else ''))
     config.completer = _complete_configuration  # type: ignore[attr-defined]  # argcomplete's
     parser.add_argument('--duration', metavar='S',
                         help='length of the run [s], short for --set loop.duration=S')
@@ -96,11 +101,22 @@ def read_one(arguments: argparse.Namespace, path: Path | None = None) -> RunData
     Raises:
         RecordingError: It cannot be read, or has several axes and none was chosen.
     """
-    from dz_ros.recording.reader import read_run
     from dz_ros.runs.axes import choose_axis
 
-    return choose_axis(read_run(arguments.run if path is None else path, arguments.namespace),
-                       arguments.axis)
+    return choose_axis(read_recording(arguments.run if path is None else path,
+                                      arguments.namespace), arguments.axis)
+
+
+def read_recording(path: Path, namespace: str | None = None) -> RunData:
+    """Return a run as `dz_ros.recording.reader.read_run` does; its reading is a stage.
+
+    Raises:
+        RecordingError: It cannot be read.
+    """
+    from dz_ros.recording.reader import read_run
+
+    with stage(f'reading {path}'):
+        return read_run(path, namespace)
 
 
 def read_axes(arguments: argparse.Namespace) -> dict[str, RunData]:
@@ -109,10 +125,9 @@ def read_axes(arguments: argparse.Namespace) -> dict[str, RunData]:
     Raises:
         RecordingError: It cannot be read, or there is no such axis.
     """
-    from dz_ros.recording.reader import read_run
     from dz_ros.runs.axes import axis_run, each_axis
 
-    run = read_run(arguments.run, arguments.namespace)
+    run = read_recording(arguments.run, arguments.namespace)
     return each_axis(run) if arguments.axis is None else {'': axis_run(run, arguments.axis)}
 
 

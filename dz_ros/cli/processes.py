@@ -52,7 +52,8 @@ def python_environment() -> dict[str, str]:
             'PYTHONPATH': os.pathsep.join(path for path in paths if path)}
 
 
-def start_node(name: str, arguments: Sequence[str], **streams: Any) -> subprocess.Popen[Any]:
+def start_node(name: str, arguments: Sequence[str], inherited: Sequence[int] = (),
+               **streams: Any) -> subprocess.Popen[Any]:
     """Start a node in a session of its own, so that Ctrl-C reaches this process alone.
 
     Signals wait until the node can take them; the node ends when this process ends, however it
@@ -61,6 +62,7 @@ def start_node(name: str, arguments: Sequence[str], **streams: Any) -> subproces
     Args:
         name: Executable of the node.
         arguments: Its command line.
+        inherited: File descriptors that it gets besides the parameter files it names.
         **streams: Standard streams and their encoding, as of `subprocess.Popen`.
     """
     if _log_folder_fault():
@@ -72,7 +74,7 @@ def start_node(name: str, arguments: Sequence[str], **streams: Any) -> subproces
     try:
         return subprocess.Popen([sys.executable, '-m', 'dz_ros.nodes.main', name, *arguments],
                                 env=environment, stdin=subprocess.DEVNULL,
-                                start_new_session=True, pass_fds=given, **streams)
+                                start_new_session=True, pass_fds=(*given, *inherited), **streams)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
@@ -120,7 +122,8 @@ class ParameterFiles:
             with tempfile.TemporaryFile() as file:
                 descriptor = os.dup(file.fileno())
         self._descriptors.append(descriptor)
-        os.write(descriptor, text.encode())
+        with os.fdopen(descriptor, 'wb', closefd=False) as whole:   # or an error, never a part
+            whole.write(text.encode())
         return f'{_DESCRIPTORS}{descriptor}'
 
     def add_parameters(self, parameters: Mapping[str, Any]) -> str:

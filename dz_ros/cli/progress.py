@@ -1,41 +1,78 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far many runs are and how long the rest takes, on standard error."""
+"""What takes long shows on standard error what it does, how far it is and how long the rest takes.
+
+`Progress` counts what a verb does many times; `stage` names one step of a verb, with the time it
+has taken, and counts where the step can. Both are silent where `silence` was asked for: with
+--quiet, and with --json, whose reader is a program.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 import sys
+import threading
 import time
 
 NOTICED = 3.0
-"""What takes longer shows its progress, without a terminal too [s]."""
+"""What takes longer shows what it does, without a terminal too [s]."""
+INTERVAL = 5.0
+"""Between two lines where there is no terminal [s]."""
+TICK = 0.5
+"""Between two lines of a stage on a terminal, where each takes the place of the last one [s]."""
+
+Step = Callable[[int, int, str], None]
+"""Called with what is done, all there is, and a word."""
+
+_silent = [False]
+
+
+def silence(silent: bool) -> None:
+    """Show nothing from now on, or show it again."""
+    _silent[0] = silent
+
+
+class _Line:
+    """A line on standard error that is rewritten on a terminal."""
+
+    def __init__(self, shown: float) -> None:
+        self._width = 0
+        self._shown = shown     # when the last one was, by the steady clock
+        self.terminal = sys.stderr.isatty()
+
+    def show(self, text: str, last: bool = False) -> None:
+        """Show a text; elsewhere than on a terminal one in `INTERVAL`, and the last one."""
+        now = time.monotonic()
+        if not (self.terminal or last or now - self._shown >= INTERVAL):
+            return
+        self._shown = now
+        if self.terminal:
+            print('\r' + text.ljust(self._width), end='\n' if last else '', file=sys.stderr,
+                  flush=True)
+        else:
+            print(text, file=sys.stderr, flush=True)
+        self._width = len(text)
 
 
 class Progress:
-    """A line that is rewritten on a terminal; elsewhere one every few seconds.
+    """Shows how far many runs are.
 
     Args:
         total: Runs in all.
-        quiet: Print nothing.
         what: What there are `total` of.
-        after: Without a terminal nothing is printed before this has passed [s].
 
     Attributes:
         done: Runs done so far.
     """
 
-    INTERVAL = 5.0
-    """Between two lines where there is no terminal [s]."""
-
-    def __init__(self, total: int, quiet: bool = False, what: str = 'runs',
-                 after: float = 0.0) -> None:
-        self._after = after
+    def __init__(self, total: int, what: str = 'runs') -> None:
         self._what = what
         self._total = total
-        self._quiet = quiet
         self._begin = time.monotonic()
-        self._shown = self._begin
-        self._width = 0
+        self._line = _Line(self._begin)
         self._base = self.done = 0
+        if self._line.terminal:
+            self(0, total)
 
     def resume(self, done: int) -> None:
         """Count runs that were done before, so that they do not make the estimate rosy."""
@@ -44,29 +81,58 @@ class Progress:
     def __call__(self, done: int, total: int, what: str = '') -> None:
         """Show that `done` of `total` runs are done, the last of them `what`."""
         self._total, self.done = total, done
-        now = time.monotonic()
-        terminal = sys.stderr.isatty()
-        last = done >= total
-        if self._quiet or not (terminal or now - self._begin >= self._after):
+        if _silent[0]:
             return
-        if not (terminal or last or now - self._shown >= self.INTERVAL):
-            return
-        self._shown = now
-        line = f'{done} of {total} {self._what}, {self._left(done, now)}'
-        line += f' ({what})' if what else ''
-        if terminal:
-            print('\r' + line.ljust(self._width), end='\n' if last else '', file=sys.stderr,
-                  flush=True)
-        else:
-            print(line, file=sys.stderr, flush=True)
-        self._width = len(line)
+        passed = time.monotonic() - self._begin
+        self._line.show(f'{done} of {total} {self._what}, '
+                        f'{_left(done - self._base, total - done, passed)}'
+                        + (f' ({what})' if what else ''), done >= total)
 
-    def _left(self, done: int, now: float) -> str:
-        """Return how long the rest takes, or took."""
-        passed = now - self._begin
-        if done >= self._total:
-            return f'{passed:.0f} s'
-        fresh = done - self._base
-        if fresh <= 0:
-            return 'time left unknown'
-        return f'about {passed * (self._total - done) / fresh:.0f} s left'
+
+@contextmanager
+def stage(what: str) -> Iterator[Step]:
+    """Show what is being done once it takes longer than `NOTICED`.
+
+    Args:
+        what: What is being done, e.g. ``reading runs/a``.
+
+    Yields:
+        A function that takes how far it is, where that is known.
+    """
+    over, counts = threading.Event(), [0, 0]
+
+    def step(done: int, total: int, _what: str = '') -> None:
+        counts[:] = done, total
+
+    def text(passed: float) -> str:
+        done, total = counts
+        return f'{what}: ' + (f'{done} of {total}, {_left(done, total - done, passed)}'
+                              if total else f'{passed:.0f} s')
+
+    def show() -> None:
+        begin = time.monotonic()
+        line = _Line(begin - INTERVAL)
+        if over.wait(NOTICED):
+            return
+        while True:
+            line.show(text(time.monotonic() - begin))
+            if over.wait(TICK):
+                break
+        line.show(f'{what}: {time.monotonic() - begin:.0f} s', last=True)
+
+    thread = threading.Thread(target=show, daemon=True)
+    if not _silent[0]:
+        thread.start()
+    try:
+        yield step
+    finally:
+        over.set()
+        if thread.ident is not None:
+            thread.join()
+
+
+def _left(done: int, left: int, passed: float) -> str:
+    """Return how long the rest takes, or all took."""
+    if left <= 0:
+        return f'{passed:.0f} s'
+    return f'about {passed * left / done:.0f} s left' if done > 0 else 'time left unknown'

@@ -21,7 +21,7 @@ from dz_ros.cli.options import (
     window,
 )
 from dz_ros.cli.output import note, note_problems, note_run, print_lines
-from dz_ros.cli.progress import NOTICED, Progress
+from dz_ros.cli.progress import stage
 from dz_ros.cli.table import five_rows, format_table, window_title
 from dz_ros.core.dataset import RunData
 from dz_ros.errors import ConfigurationError, DzRosError
@@ -61,16 +61,17 @@ def run(arguments: argparse.Namespace) -> int:
     if '' not in runs:
         return _report_axes(arguments, runs)
     data = runs['']
-    view = View.of(data, window=window(arguments), pulse=arguments.pulse)
+    with stage('computing the metrics'):
+        view = View.of(data, window=window(arguments), pulse=arguments.pulse)
     page = None
     if arguments.out is not None or not arguments.json:
-        from dz_ros.report.report import PICTURES, write_report
+        from dz_ros.report.report import write_report
 
-        page = write_report(data, arguments.out or beside(arguments.run, 'report'),
-                            without_dead_zone=_reference_run(view, arguments),
-                            title=arguments.run.resolve().name, window=window(arguments),
-                            pulse=arguments.pulse, progress=Progress(
-                                len(PICTURES), arguments.json, 'pictures', NOTICED))
+        other = _reference_run(view, arguments)
+        with stage('drawing pictures') as step:
+            page = write_report(data, arguments.out or beside(arguments.run, 'report'),
+                                without_dead_zone=other, title=arguments.run.resolve().name,
+                                window=window(arguments), pulse=arguments.pulse, progress=step)
     if arguments.json:
         verdict = judge(view)
         print(json.dumps({**view.to_dict(), 'verdict': {
@@ -87,8 +88,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _report_axes(arguments: argparse.Namespace, runs: dict[str, RunData]) -> int:
     """Write the summary of a run of several axes and the report of each; print the numbers."""
-    views = {name: View.of(run, window=window(arguments), pulse=arguments.pulse)
-             for name, run in runs.items()}
+    with stage('computing the metrics'):
+        views = {name: View.of(run, window=window(arguments), pulse=arguments.pulse)
+                 for name, run in runs.items()}
     page = None
     if arguments.out is not None or not arguments.json:
         from dz_ros.report.axes import write_axes_report
@@ -96,11 +98,12 @@ def _report_axes(arguments: argparse.Namespace, runs: dict[str, RunData]) -> int
         if arguments.without is not None:
             raise ConfigurationError('--without-dead-zone', str(arguments.without),
                                      'is of one axis; choose it with --axis')
-        page = write_axes_report(
-            runs, arguments.out or beside(arguments.run, 'report'),
-            without_dead_zone={name: _reference_run(view, arguments)
-                               for name, view in views.items()},
-            title=arguments.run.resolve().name, window=window(arguments), pulse=arguments.pulse)
+        others = {name: _reference_run(view, arguments) for name, view in views.items()}
+        with stage('drawing pictures') as step:
+            page = write_axes_report(
+                runs, arguments.out or beside(arguments.run, 'report'),
+                without_dead_zone=others, title=arguments.run.resolve().name,
+                window=window(arguments), pulse=arguments.pulse, progress=step)
     if arguments.json:
         print(json.dumps({'axes': {name: {**view.to_dict(), 'verdict': {
             'failures': judge(view).failures, 'facts': judge(view).facts}}
@@ -133,7 +136,8 @@ def _reference_run(view: View, arguments: argparse.Namespace) -> RunData | None:
     if arguments.without is not None:
         return read_one(arguments, arguments.without)
     try:
-        return without_dead_zone(view)
+        with stage('simulating the run without dead-zone'):
+            return without_dead_zone(view)
     except DzRosError:
         raise
     except (OverflowError, ValueError):

@@ -27,6 +27,7 @@ from dz_ros.cli.options import (
     check_port,
     namespace_name,
     read_machine,
+    read_recording,
     refuse_existing,
 )
 from dz_ros.cli.processes import (
@@ -36,6 +37,7 @@ from dz_ros.cli.processes import (
     start_node,
     wait_or_kill,
 )
+from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.text import printable
 from dz_ros.errors import DzRosError, LoopError
@@ -197,15 +199,15 @@ class _Loop:
     def _recorded_verdict(self, directory: Path) -> bool:
         """Print the verdict on the recording; return whether it failed."""
         from dz_ros.cli.table import five_rows, format_table, window_title
-        from dz_ros.recording.reader import read_run
         from dz_ros.report.verdict import judge
         from dz_ros.report.view import View
         from dz_ros.runs.axes import each_axis
 
         failed = False
-        for name, run in each_axis(read_run(directory)).items():
-            view = View.of(run)
-            verdict = judge(view)
+        for name, run in each_axis(read_recording(directory)).items():
+            with stage('judging the run'):
+                view = View.of(run)
+                verdict = judge(view)
             verdict = replace(verdict, failures=(*self._failures(), *verdict.failures))
             failed = failed or bool(verdict.failures)
             for line in (*([f'axis {name}'] if name else []), *verdict.lines(),

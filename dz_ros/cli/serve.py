@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import signal
 
 from dz_ros.cli.output import note
+from dz_ros.cli.progress import stage
 from dz_ros.core.dataset import RunData
 
 
@@ -21,7 +22,8 @@ def serve(runs: Mapping[str, RunData], host: str, port: int) -> int:
     from dz_ros.live.recorded_source import Recorded
     from dz_ros.live.server import Server
 
-    recorded = Recorded(runs)
+    with stage('preparing the page'):
+        recorded = Recorded(runs)
     for problem in recorded.problems:
         note(problem)
     server = Server(recorded, Access(host, actions=False))

@@ -11,14 +11,14 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
-from dz_ros.cli.options import refuse_existing
+from dz_ros.cli.options import read_recording, refuse_existing
 from dz_ros.cli.output import aligned, note, print_lines
 from dz_ros.cli.processes import Nodes, ParameterFiles
+from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
 from dz_ros.errors import ConfigurationError, RecordingError
 from dz_ros.files.configurations import flat_parameters, format_parameters
-from dz_ros.recording.reader import read_run
 from dz_ros.replay.shadow import compare_answers, Comparison
 from dz_ros.runs.history import RunHistory
 
@@ -37,7 +37,7 @@ def run_shadow(arguments: argparse.Namespace) -> int:
     if not (math.isfinite(arguments.tolerance) and arguments.tolerance >= 0.0):
         raise ConfigurationError('--tolerance', arguments.tolerance, 'must be a number >= 0')
     refuse_existing(arguments.record)
-    recorded = read_run(arguments.run, arguments.of)
+    recorded = read_recording(arguments.run, arguments.of)
     if recorded.axes:
         raise RecordingError(f'{arguments.run} has axes {", ".join(recorded.axes)}; a shadow '
                              'controller answers a loop of one axis: dz bag audit and whatif do '
@@ -45,10 +45,11 @@ def run_shadow(arguments: argparse.Namespace) -> int:
     live = _configuration(recorded, arguments)
     with tempfile.TemporaryDirectory(prefix='dz_ros-') as folder, ParameterFiles() as files:
         directory = arguments.record or Path(folder) / 'live'
-        code = _feed(arguments, recorded, live, files, directory)
+        with stage('feeding the recorded states to a live controller'):
+            code = _feed(arguments, recorded, live, files, directory)
         if code:
             return code
-        found = compare_answers(recorded, read_run(directory), arguments.tolerance)
+        found = compare_answers(recorded, read_recording(directory), arguments.tolerance)
     for text in _notes(recorded):
         note(text)
     if arguments.json:

@@ -19,6 +19,7 @@ from dz_ros.cli.options import (
     require_folder,
 )
 from dz_ros.cli.output import print_lines, write_csv
+from dz_ros.cli.progress import stage
 from dz_ros.cli.table import format_table, metric_rows, window_title
 from dz_ros.core.dataset import from_runs
 from dz_ros.core.loop.offline import Run
@@ -56,14 +57,16 @@ def run(arguments: argparse.Namespace) -> int:
         from dz_ros.recording.save import save_run, state_configuration
 
         memory = [number for item in configuration.each for number in item.law.initial_memory()]
-        save_run(state_configuration(data, memory), arguments.record)
+        with stage(f'writing {arguments.record}'):
+            save_run(state_configuration(data, memory), arguments.record)
     if csv is not None:
-        with csv.open('x', encoding='ascii', newline='') as file:
+        with csv.open('x', encoding='ascii', newline='') as file, stage(f'writing {csv}'):
             write_csv(all_columns(done), file)
     if to_stdout:
         write_csv(all_columns(done), sys.stdout)
     for name, run in each_axis(data).items():
-        view = View.of(run)
+        with stage('computing the metrics'):
+            view = View.of(run)
         title = window_title(view)
         print_lines(format_table(f'axis {name}: {title}' if name else title, metric_rows(view)),
                     file=sys.stderr if to_stdout else sys.stdout)

@@ -10,10 +10,9 @@ import argparse
 from pathlib import Path
 import sys
 
-from dz_ros.cli.interrupt import INTERRUPTED, prompt_end
-from dz_ros.cli.interrupt import line as interrupt_line
+from dz_ros.cli.interrupt import prompt_end
 from dz_ros.cli.options import add_configuration, read_configuration
-from dz_ros.cli.progress import Progress
+from dz_ros.cli.progress import Progress, stage
 from dz_ros.errors import ConfigurationError
 from dz_ros.report.report import write_files
 from dz_ros.studies.outcome import require_end
@@ -76,18 +75,13 @@ def run(arguments: argparse.Namespace) -> int:
     if 'loop.duration' not in {axis.key for axis in plan.axes}:
         require_end(configuration)
     plan.check()
-    progress = Progress(len(plan), arguments.quiet)
+    progress = Progress(len(plan))
 
     def kept() -> str:
         return f'{progress.done} of {len(plan)} runs are kept; the same command goes on'
 
-    try:
-        with prompt_end(kept):
-            lost = run_sweep(plan, out, arguments.jobs, arguments.cluster, progress,
-                             progress.resume)
-    except KeyboardInterrupt:
-        print(interrupt_line(kept()), file=sys.stderr)
-        return INTERRUPTED
+    with prompt_end(kept):
+        lost = run_sweep(plan, out, arguments.jobs, arguments.cluster, progress, progress.resume)
     print(f'{out}: {len(plan)} runs, {lost} of them lost')
     return 0
 
@@ -96,8 +90,10 @@ def plot(arguments: argparse.Namespace) -> int:
     """Draw the maps of a sweep."""
     if arguments.file is None:
         raise ConfigurationError('FILE', None, 'name the file of a sweep: dz sweep plot FILE')
-    rows = read_sweep(arguments.file)
-    drawn = pictures(rows, arguments.x, arguments.y)
+    with stage(f'reading {arguments.file}'):
+        rows = read_sweep(arguments.file)
+    with stage('drawing maps'):
+        drawn = pictures(rows, arguments.x, arguments.y)
     out = arguments.out or arguments.file.with_name(f'{arguments.file.stem}-maps')
     write_files(out, {f'{picture.name}.png': picture.png() for picture in drawn})
     for picture in drawn:

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-import sys
 from typing import Any
 
 from dz_ros.cli.interrupt import prompt_end
 from dz_ros.cli.options import add_configuration, configuration_overrides, read_machine
 from dz_ros.cli.output import print_json
+from dz_ros.cli.progress import stage
 from dz_ros.core.axes_keys import axis_key
 from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import flat_parameters, write_parameters
@@ -48,12 +48,10 @@ def run(arguments: argparse.Namespace) -> int:
     configuration = read_machine(arguments)
     require_end(configuration)
     _require_bounds(arguments)
-    if sys.stderr.isatty():
-        print('simulating candidates, some seconds' + (' for each axis' if configuration.axes
-                                                       else ''), file=sys.stderr)
-    with prompt_end():
-        found = {name: tune(item, arguments.effort, arguments.disturbance)
-                 for name, item in configuration.axes or (('', configuration),)}
+    found = {}
+    for name, item in configuration.axes or (('', configuration),):
+        with prompt_end(), stage('simulating candidates' + (f' for axis {name}' if name else '')):
+            found[name] = tune(item, arguments.effort, arguments.disturbance)
     if arguments.json:
         each = {name: jsonable({'proposed': dict(changes(item)), 'why': item.reasons,
                                 'simulated': item.rows}) for name, item in found.items()}

@@ -117,6 +117,14 @@ class Configuration:
     set_aside: tuple[str, ...] = field(default=())
     axes: tuple[tuple[str, Configuration], ...] = field(default=())
 
+    def __repr__(self) -> str:
+        """Return one line: what runs, how fast, how long; `to_flat` has every key."""
+        if self.axes:
+            return f'<Configuration of axes {", ".join(self.axis_names)}, {self.loop.rate:g} Hz>'
+        end = f'{self.loop.duration:g} s' if self.loop.duration else 'without end'
+        return (f'<Configuration {self.law.name} on {self.plant.name}, {self.trajectory.name}, '
+                f'{self.loop.rate:g} Hz, {end}>')
+
     @property
     def axis_names(self) -> tuple[str, ...]:
         """Names of the axes; empty: one without a name."""
@@ -141,6 +149,12 @@ class Configuration:
             raise ConfigurationError('--axis', name, f'must be one of {", ".join(self.axis_names)}'
                                      if self.axes else 'the loop has one axis, without a name')
         return found
+
+    @property
+    def quanta(self) -> tuple[float, ...]:
+        """Steps in which the simulated states are measured [state units], shape (n,); 0 = none."""
+        n, settings = self.plant.order, self.plant_settings
+        return (settings.resolution, *settings.derivative_resolution, *(0.0,) * n)[:n]
 
     @property
     def zone_numbers(self) -> tuple[float, ...]:
@@ -278,7 +292,7 @@ class Configuration:
             check_alike(names[0], first, name, item)
         first.law.check_axes({name: item.law for name, item in axes})
         for chosen in dict.fromkeys(item.driver_class for _, item in axes):
-            check = getattr(chosen, 'check_axes', None)
+            check = getattr(chosen, 'check_axes', None)     # `Undriven` has none
             if check is not None:
                 check({name: item for name, item in axes if item.driver_class is chosen})
         model = type(first.plant)
@@ -345,6 +359,10 @@ class Configuration:
             raise ConfigurationError('plant.x0', list(x0), f'must have {plant.order} numbers, one '
                                      'for each state')
         noise = settings.noise if len(settings.noise) > 1 else settings.noise * plant.order
+        if len(settings.derivative_resolution) >= max(plant.order, 1):
+            raise ConfigurationError(
+                'plant.derivative_resolution', list(settings.derivative_resolution),
+                f'must have at most {plant.order - 1} values for {plant.name}')
         if len(noise) != plant.order:
             raise ConfigurationError('plant.noise', list(noise), 'must have 1 or '
                                      f'{plant.order} numbers')

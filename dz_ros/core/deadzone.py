@@ -69,8 +69,12 @@ def scheduling_variable(t: float, z: Sequence[float]) -> float:
     return interpolate(t, z, at, at + instants, instants)
 
 
-def _followed(which: int, t: float, z: Sequence[float]) -> float:
-    """Return parameter `which` (0 … 3: m_r, m_l, b_r, b_l) at time t [s], drift included."""
+def _followed(parameter: float, t: float, z: Sequence[float]) -> float:
+    """Return a parameter (0.0 … 3.0: m_r, m_l, b_r, b_l) at time t [s], drift included.
+
+    Its number is a float: numba compiles a function again for each whole number in a call.
+    """
+    which = int(parameter)
     value = z[1 + which]
     count = int(z[_COUNT])
     if count > 0:
@@ -92,12 +96,12 @@ def _risen(u: float, z: Sequence[float]) -> float:
 
 def _extended_dead_zone(v: float, t: float, z: Sequence[float]) -> float:
     """Return w = D(v) at time t [s] with tables or (1')."""
-    b_r = _followed(2, t, z)
+    b_r = _followed(2.0, t, z)
     if v >= b_r:
-        return _followed(0, t, z) * _risen(v - b_r, z)
-    b_l = _followed(3, t, z)
+        return _followed(0.0, t, z) * _risen(v - b_r, z)
+    b_l = _followed(3.0, t, z)
     if v <= b_l:
-        return -_followed(1, t, z) * _risen(b_l - v, z)
+        return -_followed(1.0, t, z) * _risen(b_l - v, z)
     return 0.0
 
 
@@ -131,7 +135,7 @@ def residual(v: float, w: float, t: float, z: Sequence[float]) -> float:
     """Return d(v) = w − m v of (2), m the slope on v's side at time t."""
     right = v >= 0.0
     if z[0] == _EXTENDED:
-        return w - _followed(0 if right else 1, t, z) * v
+        return w - _followed(0.0 if right else 1.0, t, z) * v
     m = z[1] if right else z[2]
     if z[0] != 0.0:
         m += (z[5] * math.sin(z[6] * t)) if right else (z[7] * math.sin(z[8] * t))

@@ -24,6 +24,9 @@ class DriverSettings:
                                    structural=True)
     resolution: float = parameter(0.0, 'unit of x', 'one step of the position sensor, for the '
                                   'design rules; 0 = what the driver knows of it', minimum=0.0)
+    derivative_resolution: tuple[float, ...] = parameter(
+        (), 'state units', "one step of x', x'', … as they are measured, for the design rules; "
+        'empty = what the driver knows of them', minimum=0.0)
     command_resolution: float = parameter(0.0, 'actuator unit', 'one step of the command, for the '
                                           'design rules; 0 = what the driver knows of it',
                                           minimum=0.0)
@@ -40,6 +43,7 @@ class DriverClass(Protocol):
         requires: Modules of optional packages that it imports on opening.
         measured: Number of the states x, x', … that it measures, 1 … n.
         resolution: One step of its position sensor [unit of x]; 0 = not known, or none.
+        derivative_resolution: The same of x', x'', …, as many as are known.
         Parameters: Frozen dataclass of `dz_ros.core.schema.parameter` fields.
     """
 
@@ -50,6 +54,7 @@ class DriverClass(Protocol):
     requires: ClassVar[tuple[str, ...]]
     measured: Any
     resolution: Any
+    derivative_resolution: Any
     Parameters: ClassVar[type]
 
     def __init__(self, parameters: Any, configuration: Any) -> None:
@@ -77,6 +82,7 @@ class Undriven:
     def __init__(self, parameters: Any, configuration: Any) -> None:  # noqa: ARG002
         self.measured: Any = configuration.plant.order
         self.resolution: Any = configuration.driver_settings.resolution
+        self.derivative_resolution: Any = configuration.driver_settings.derivative_resolution
         self.command_resolution: Any = configuration.driver_settings.command_resolution
 
 

@@ -101,6 +101,9 @@ class PlantSettings:
         'for all', minimum=0.0, structural=True)
     resolution: float = parameter(0.0, 'unit of x', 'the sensor counts x in steps of this; 0 = '
                                   'none', minimum=0.0, structural=True)
+    derivative_resolution: tuple[float, ...] = parameter(
+        (), 'state units', "steps in which x', x'', … are counted where they are measured; empty "
+        'or 0 = none', minimum=0.0, structural=True)
     command_resolution: float = parameter(0.0, 'actuator unit', 'the actuator rounds v to steps '
                                           'of this; 0 = not', minimum=0.0, structural=True)
     backlash: float = parameter(0.0, 'actuator unit', 'play between the command and the '

@@ -59,6 +59,19 @@ class Driver(ABC):
         self.configuration = configuration
 
     @classmethod
+    def check_axes(cls, axes: Mapping[str, Configuration]) -> None:
+        """Check that the axes of a machine that name this class can have it together.
+
+        Called when a configuration is made, by every verb; anything goes unless overridden.
+
+        Args:
+            axes: Name → configuration, each as of a loop of this axis alone.
+
+        Raises:
+            ConfigurationError: They cannot: two of them name one device.
+        """
+
+    @classmethod
     def for_axes(cls, each: Sequence[Configuration]) -> Sequence[Driver]:
         """Return the drivers of all axes of a machine that name this class, in their order.
 
@@ -71,14 +84,6 @@ class Driver(ABC):
         """
         return [cls(item.driver_parameters, item) for item in each]
 
-    @classmethod
-    def check_axes(cls, each: Mapping[str, Configuration]) -> None:
-        """Check that the axes of a machine that name this class go together, by their names.
-
-        Raises:
-            ConfigurationError: They do not; its key is that of an axis (`axis_key`).
-        """
-
     @property
     def measured(self) -> int:
         """Number of the states x, x', … that it measures; the host observes a missing velocity."""
@@ -88,6 +93,11 @@ class Driver(ABC):
     def resolution(self) -> float:
         """One step of the position sensor [unit of x]; 0 = not known, or none."""
         return self.configuration.driver_settings.resolution
+
+    @property
+    def derivative_resolution(self) -> tuple[float, ...]:
+        """One step of x', x'', … as they are measured [state units]; 0, or fewer = not known."""
+        return self.configuration.driver_settings.derivative_resolution
 
     @property
     def command_resolution(self) -> float:

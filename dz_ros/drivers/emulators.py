@@ -20,8 +20,8 @@ from dz_ros.core.registry import Registry
 from dz_ros.errors import ConfigurationError
 
 _NUMBER = r'\d+(?:\.\d+)?'
-_FAULT = re.compile(rf'(?P<name>[a-z-]+)@(?P<start>{_NUMBER})(?:\+(?P<duration>{_NUMBER}))?'
-                    rf'(?:=(?P<value>{_NUMBER}))?', re.ASCII)
+_FAULT = re.compile(rf'(?:(?P<device>\w+):)?(?P<name>[a-z-]+)@(?P<start>{_NUMBER})'
+                    rf'(?:\+(?P<duration>{_NUMBER}))?(?:=(?P<value>{_NUMBER}))?', re.ASCII)
 
 
 @dataclass(frozen=True)
@@ -33,16 +33,18 @@ class Fault:
         start: From the first command that moves the device on [s].
         duration: [s].
         value: What the fault needs besides, e.g. a probability or a code; NaN = not given.
+        device: Of several emulated devices the one it is of; '' = each of them.
     """
 
     name: str
     start: float
     duration: float = 0.0
     value: float = math.nan
+    device: str = ''
 
     @classmethod
     def parse(cls, text: str, known: Mapping[str, str]) -> Fault:
-        """Return the fault written as NAME@START[+DURATION][=VALUE].
+        """Return the fault written as [DEVICE:]NAME@START[+DURATION][=VALUE].
 
         Raises:
             ConfigurationError: It is not written so, or of no kind that is known.
@@ -53,8 +55,9 @@ class Fault:
                                      'times in s, e.g. ' + f'{next(iter(known))}@2+0.5')
         if found['name'] not in known:
             raise ConfigurationError('--fault', text, 'is none of ' + ', '.join(known))
-        return cls(found['name'], **{key: float(value) for key, value in found.groupdict().items()
-                                     if key != 'name' and value is not None})
+        return cls(found['name'], device=found['device'] or '', **{
+            key: float(value) for key, value in found.groupdict().items()
+            if key not in ('device', 'name') and value is not None})
 
     def active(self, t: float) -> bool:
         """Return whether it is there at time t [s]."""
@@ -86,6 +89,25 @@ class Emulator(ABC):
         self.parameters = parameters
         self.configuration = configuration
         self.script = tuple(faults)
+
+    @classmethod
+    def of_axes(cls, parameters: Any, machine: Configuration, nodes: int,  # noqa: ARG003
+                faults: Sequence[Fault]) -> Emulator:  # noqa: ARG003
+        """Return the emulated devices of a machine in one process, where the class has several.
+
+        Args:
+            parameters: The emulator's own, checked, the same for each device.
+            machine: The plants behind them, of one axis or several.
+            nodes: Number of devices that is asked for; 0 = one for each axis.
+            faults: The script.
+
+        Raises:
+            ConfigurationError: The class is one device, or the number is not that of the axes.
+        """
+        if machine.axes:
+            raise ConfigurationError('loop.axes', list(machine.axis_names), f'{cls.name} emulates '
+                                     'a device of one axis; choose it with --axis')
+        raise ConfigurationError('--nodes', nodes, f'{cls.name} emulates one device')
 
     @abstractmethod
     def open(self) -> str:

@@ -80,7 +80,12 @@ class HostedDrivers:
                 raise DriverError(f'axis {name}: {error}') from error
 
     def disable(self, v: Sequence[float], t: float) -> str:
-        """Send the safe commands and disable all; return what went wrong."""
+        """Send the safe commands, to all before one is waited for, and disable all.
+
+        Returns:
+            What went wrong.
+        """
+        self.safe(v, t)
         return self._joined(item.disable(own, t)
                             for item, own in zip(self.each, v, strict=True))
 

@@ -72,7 +72,7 @@ class SimulatedActuator(Driver):
         self._work = ([0.0] * c.plant.regressor_count, *([0.0] * c.plant.order for _ in range(4)))
         self._grain = c.plant_settings.command_resolution
         self._play = c.plant_settings.backlash
-        self._quantum = c.plant_settings.resolution
+        self._quanta = c.quanta
         self._sigma = c.noise if any(c.noise) else None
         self._random = np.random.default_rng(c.loop.seed)
         self._pending: deque[tuple[float, float]] = deque()
@@ -103,7 +103,12 @@ class SimulatedActuator(Driver):
     @property
     def resolution(self) -> float:
         """One step of its position sensor [unit of x]."""
-        return self._quantum or super().resolution
+        return self._quanta[0] or super().resolution
+
+    @property
+    def derivative_resolution(self) -> tuple[float, ...]:
+        """One step of x', x'', … that it measures [state units]."""
+        return self._quanta[1:] if any(self._quanta[1:]) else super().derivative_resolution
 
     @property
     def command_resolution(self) -> float:
@@ -147,13 +152,14 @@ class SimulatedActuator(Driver):
         self._pending.append((at, v))
 
     def measure(self) -> tuple[float, ...]:
-        """Return what is measured of x, x', …: the true ones plus seeded noise, x quantised."""
+        """Return what is measured of x, x', …: the true ones plus seeded noise, quantised."""
         found = list(self.x)
         if self._sigma is not None:
             noise = self._random.standard_normal(len(found)) * np.asarray(self._sigma)
             found = [value + float(error) for value, error in zip(found, noise, strict=True)]
-        if self._quantum > 0.0:
-            found[0] = math.floor(found[0] / self._quantum + 0.5) * self._quantum
+        for i, quantum in enumerate(self._quanta):
+            if quantum > 0.0:
+                found[i] = math.floor(found[i] / quantum + 0.5) * quantum
         return tuple(found[:self.measured])
 
     def advance(self, t: float, seq: int) -> Truth:

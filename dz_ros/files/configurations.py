@@ -22,6 +22,7 @@ from typing import Any
 
 from dz_ros.core.axes_keys import is_machines, parts
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.schema import fields
 from dz_ros.errors import ConfigurationError, suggestion
 from dz_ros.files.parameter_sections import foreign, loop_parameters, sections
 from dz_ros.files.waypoints import KEY as WAYPOINTS
@@ -88,13 +89,14 @@ def write_parameters(configuration: Configuration, path: Path) -> None:
 def format_parameters(configuration: Configuration) -> str:
     """Return a configuration as the text of a ROS parameter file for every node.
 
-    Floats keep their type and every digit. Empty arrays, which ROS cannot express, are left out:
-    they are defaults. Of several axes each has all its keys, so there are none for all of them
-    beside the machine's.
+    Floats keep their type and every digit. Empty arrays are left out where they are the default,
+    since rcl refuses them to a node that declares all it is given. Of several axes each has all
+    its keys, so there are none for all of them beside the machine's.
     """
     tree: dict[str, Any] = {}
+    cleared = {f'loop.{item.name}' for item in fields(type(configuration.loop)) if item.default}
     for key, value in configuration.to_flat().items():
-        if isinstance(value, list) and not value:
+        if value == [] and key not in cleared:
             continue
         if configuration.axes and not parts(key)[0] and not is_machines(key):
             continue

@@ -151,7 +151,8 @@ def loop_parameters(found: Sequence[Section], namespace: str, flatten: Flatten,
         owners = [role for role in OWNERS.get(section_of(key), ()) if role in values]
         first, *others = owners or values
         for other in others:
-            if values[other] != values[first]:
+            # One that is not even equal to itself (.nan) is refused where it is checked.
+            if values[other] != values[first] and repr(values[other]) != repr(values[first]):
                 raise fail(f'{key} = {values[first]!r} for {ROLES[first][0]} and '
                            f'{values[other]!r} for {ROLES[other][0]}: must be one value, the '
                            'loop has one configuration')

@@ -1,14 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The steps from a new device to a running loop, and the log of them (ours).
 
-    limits     how far, fast and hard it may move; asked, never guessed
-    sign       does it follow the command
-    sensor     resolution and noise of the position, delay of the commands
-    identify   dead-zone with bounds, and the plant
-    propose    a configuration for a small first motion, in a file
-    check      its design rules
-    loop       the first closed loop, with the e-stop armed
-    report     the report of that run
+Terminal and live page are two faces of them: `ABOUT` are the steps, `StepLog` is what was done,
+and `StepLog.overview` what a face shows of both.
 
 A folder holds a subfolder for each attempt of a step and one log, a JSON object a line. Nothing in
 it is ever changed: a step that is repeated is another attempt, and the steps after it use the
@@ -25,8 +19,19 @@ from typing import Any
 
 from dz_ros.errors import RecordingError
 
-STEPS = ('limits', 'sign', 'sensor', 'identify', 'propose', 'check', 'loop', 'report')
-"""In their order."""
+ABOUT: Mapping[str, str] = {
+    'limits': 'how far, fast and hard it may move; asked, never guessed',
+    'sign': 'does it follow the command',
+    'sensor': 'resolution and noise of the position, delay of the commands',
+    'identify': 'dead-zone with bounds, and the plant',
+    'propose': 'a configuration for a small first motion, in a file',
+    'check': 'its design rules',
+    'loop': 'the first closed loop, with the e-stop armed',
+    'report': 'the report of that run'}
+"""Step → what it finds, in their order."""
+STEPS = tuple(ABOUT)
+MOVING = ('sign', 'sensor', 'identify', 'loop')
+"""Steps that move the device."""
 LOG = 'commissioning.jsonl'
 DONE, FAILED = 'done', 'failed'
 MAX_LOG = 10_000_000
@@ -93,6 +98,28 @@ class StepLog:
         """Return the newest attempt of a step that was done."""
         return next((item for item in reversed(self.attempts)
                      if item.step == step and item.outcome == DONE), None)
+
+    def lacking(self, step: str) -> str:
+        """Return the first step that must be done before this one and is not; '' = none."""
+        return next((item for item in STEPS[:STEPS.index(step)] if self.newest(item) is None), '')
+
+    def overview(self) -> list[dict[str, Any]]:
+        """Return each step: what it finds, number of attempts, the newest of them, what it lacks.
+
+        `stale` are steps done before the newest result of a step before them.
+        """
+        found, newest = [], 0
+        for step, about in ABOUT.items():
+            attempts = [item for item in self.attempts if item.step == step]
+            last, done = attempts[-1] if attempts else None, self.newest(step)
+            found.append({
+                'step': step, 'about': about, 'moves': step in MOVING, 'attempts': len(attempts),
+                'outcome': last.outcome if last else '', 'words': last.words if last else '',
+                'folder': last.folder if last else '', 'result': dict(last.result) if last else {},
+                'lacking': self.lacking(step),
+                'stale': done is not None and done.number < newest})
+            newest = max(newest, done.number if done is not None else 0)
+        return found
 
     def number(self, step: str, name: str) -> float:
         """Return a number of the newest result of a step.

@@ -19,7 +19,7 @@ from dz_ros.live.requests import finite, parse, ProtocolError, result
 from dz_ros.live.source import Source
 from dz_ros.live.viewer import Viewer
 
-ACTIONS = frozenset(('reset', 'activate', 'deactivate', 'set', 'disturbance_pulse'))
+ACTIONS = frozenset(('reset', 'activate', 'deactivate', 'set', 'disturbance_pulse', 'commission'))
 QUESTIONS = frozenset(('rows', 'histogram', 'axis'))
 OLD = 3.0
 """An action that was asked for longer ago than this is refused [s]."""

@@ -97,6 +97,8 @@ class ActuatorNode(ManagedNode):
             'command': self._guard.guard.rejected(), 'reference': self._references.rejected(),
             'device': self._hosted.refused()}))
         self._hosted.report(report)
+        if self._simulated:
+            self.report_schedule(report)
         return report
 
     def stated(self, *sections: str) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
+from itertools import pairwise
 import json
 import math
 import sys
@@ -25,7 +26,7 @@ from dz_ros.drivers.conformance.machine import lateness, MachineWatch
 from dz_ros.drivers.conformance.result import Result
 from dz_ros.drivers.conformance.stream_checks import check_stream
 from dz_ros.errors import DriverError, LoopError
-from dz_ros.nodes.parts.check_evidence import Evidence
+from dz_ros.nodes.parts.check_evidence import Evidence, Send
 from dz_ros.nodes.ros.base import LoopNode
 from dz_ros.nodes.ros.estop import EstopTopic
 from dz_ros.nodes.ros.parameters import configure
@@ -40,6 +41,12 @@ RECOVERY = 5.0
 """After a stop, commands must act again within this [s]."""
 STANDSTILL = 0.1
 """A check that fails is repeated if no state came for longer than this, and 5 T [s]."""
+STOP, STOPPED = 0.5, 20
+"""From this loop time after an e-stop on no command may act [s]; this number of states shows that
+none does."""
+ATTEMPTS = 10
+"""Largest number of times that a bad message is sent: where the node had gone without a command
+before it, it may take any seq."""
 
 
 class CheckNode(LoopNode):
@@ -61,6 +68,7 @@ class CheckNode(LoopNode):
         self.urgent = self._check_estop
         self._seq = 0
         self._answering = self._holding = False
+        self._unanswered = 0        # states that are to come and get no answer
         self._v: float | None = None
 
     def _check_estop(self) -> None:
@@ -137,33 +145,61 @@ class CheckNode(LoopNode):
     def _bad_messages(self, name: str) -> Result:
         """NaN, infinities, seq back and far ahead, wrong labels: none may be echoed."""
         self._wait(0.1)     # commands were not sent while figures were made; then any seq is taken
-        last, bad = self._seq, []
-        before, labels = len(self._evidence.states), Command.labels()
-
-        def send(number: int, v: float = 0.0, later: float = 0.0,
-                 names: Sequence[str] = labels) -> None:
-            """Send one between two good ones: of a burst a reader of the newest sees the last."""
-            state = self._evidence.states[-1]
-            bad.append(number)
-            self._evidence.send(names, (number, state.stamp + later, v, state.seq, state.stamp,
-                                        0.0)[:len(names)])
-            self._wait(2.3 * self._period)
-
-        for seq, v, later in ((400, math.nan, 0.0), (410, math.inf, 0.0), (420, -math.inf, 0.0),
-                              (430, 0.0, math.nan), (5000, 0.0, 0.0), (-50, 0.0, 0.0)):
-            send(last + seq, v, later)
-        for wrong in (('nonsense', *labels[1:]), labels[:-1]):
-            send(last + 440 + len(wrong), names=wrong)
+        evidence, labels = self._evidence, Command.labels()
+        before, last = len(evidence.states), self._seq
+        kinds: list[tuple[int, float, float, Sequence[str]]] = [
+            (400, math.nan, 0.0, labels), (410, math.inf, 0.0, labels),
+            (420, -math.inf, 0.0, labels), (430, 0.0, math.nan, labels), (5000, 0.0, 0.0, labels),
+            (-50, 0.0, 0.0, labels), (450, 0.0, 0.0, ('nonsense', *labels[1:])),
+            (460, 0.0, 0.0, labels[:-1])]
+        with evidence.stranger() as send:
+            found = [self._provoke(send, *kind) for kind in kinds]
         self._wait(0.5)
-        seen = self._evidence.states[before:]
-        taken = sorted({item.echo_seq for item in seen} & set(bad))
+        seen = evidence.states[before:]
         ill = [item.seq for item in seen if not all(map(math.isfinite, item.numbers()))]
-        acting = bool(seen) and seen[-1].echo_seq > last and not taken
-        words = (f'acted on {taken}' if taken else
+        acted = [number for number, unseen in found if number is not None and not unseen]
+        acting = bool(seen) and seen[-1].echo_seq > last
+        words = (f'acted on {acted}' if acted else
                  f'state {ill[0]} is not finite' if ill else
-                 '' if acting else 'good commands act no more')
-        return Result(name, not words, f'{len(bad) - len(taken)} of {len(bad)}', f'{len(bad)}',
-                      words)
+                 'good commands act no more' if not acting else '')
+        unseen = sum(unseen for _, unseen in found)
+        return Result(name, False if words else None if unseen else True,
+                      f'{len(kinds) - len(acted) - unseen} of {len(kinds)}', f'{len(kinds)}',
+                      words or ('commands come too late to show that seq is judged' if unseen
+                                else ''))
+
+    def _provoke(self, send: Send, ahead: int, v: float, later: float,
+                 names: Sequence[str]) -> tuple[int | None, bool]:
+        """Send a bad message between two good ones, again where no good one came for too long.
+
+        Args:
+            send: Sends it.
+            ahead: Its seq beyond that of the next good one.
+            v: Its command.
+            later: Its stamp beyond that of the newest state [s].
+            names: Its labels.
+
+        Returns:
+            Its seq if it acted, and whether it might: after too long a time any seq is taken.
+        """
+        states, commands = self._evidence.states, self._evidence.commands
+        hold, number = self.configuration.safety.command_hold, 0
+        for _ in range(ATTEMPTS):
+            state, before, number = states[-1], len(states), self._seq + ahead
+            # A reader of the newest sees the last of a burst: this is the last for a period.
+            self._unanswered = 1 if not hold or hold > 2 else 0
+            send(names, (number, state.stamp + later, v, state.seq, state.stamp,
+                         0.0)[:len(names)])
+            self._wait(2.3 * self._period)
+            age = next((item.stamp - earlier.echo_stamp
+                        for earlier, item in pairwise(states[before - 1:])
+                        if item.echo_seq == number and commands.get(number) != item.echo_stamp),
+                       None)
+            if age is None:
+                return None, False
+            if not hold or age <= (hold - 0.5) * self._period or not math.isfinite(v + later):
+                return number, False
+        return number, True
 
     def _saturation(self, name: str) -> Result:
         limit = self._limit
@@ -220,16 +256,28 @@ class CheckNode(LoopNode):
 
     def _stop(self, name: str) -> Result:
         """The e-stop by its topic."""
-        self._evidence.note('stop')
+        evidence = self._evidence
+        states, before = evidence.states, len(evidence.states)
+        evidence.note('stop')
         self._estop.publish(True)
-        self._wait(0.5)
-        echoed = {item.echo_seq for item in self._evidence.states[-20:]}
-        safe = self._evidence.safe_after(self._safe)
-        ignored = len(echoed) == 1
-        seen = not self._evidence.reports or safe is not None
+
+        def echoed() -> set[int]:
+            return {item.echo_seq for item in states[max(before, len(states) - STOPPED):]}
+
+        def done() -> bool:
+            passed = len(states) - before
+            stopped = (passed >= STOPPED and len(echoed()) == 1
+                       and (not evidence.reports or evidence.safe_after(self._safe) is not None))
+            return stopped or passed >= STOPPED + STOP / self._period
+
+        self.spin_until(time.monotonic() + RECOVERY, done)
+        self._check_states(before, RECOVERY)
+        safe = evidence.safe_after(self._safe)
+        ignored = len(echoed()) == 1
+        seen = not evidence.reports or safe is not None
         words = ('commands act although the e-stop is pressed' if not ignored else
                  '' if seen else 'the safe command was not taken')
-        return Result(name, ignored and seen, f'{max(len(echoed) - 1, 0)} commands acted', '0',
+        return Result(name, ignored and seen, f'{max(len(echoed()) - 1, 0)} commands acted', '0',
                       words)
 
     def _way_out(self, name: str) -> Result:
@@ -274,6 +322,9 @@ class CheckNode(LoopNode):
     def _answer(self, seq: int, stamp: float) -> None:
         if not self._answering:
             return
+        if self._unanswered:
+            self._unanswered -= 1
+            return
         v = self._safe + self._amplitude * wave(stamp) if self._v is None else self._v
         if self._holding and self._seq % DELAY_EVERY == 0:
             time.sleep(DELAY_PERIODS * self._period)
@@ -302,5 +353,9 @@ class CheckNode(LoopNode):
         end, before = time.monotonic() + span, len(states)
         self.spin_until(end)
         self.spin_until(end + RECOVERY, lambda: len(states) - before >= 0.8 * span / self._period)
-        if len(states) == before and not self.stopping:
-            raise LoopError(f'no state for {RECOVERY + span:g} s: it stopped publishing')
+        self._check_states(before, RECOVERY + span)
+
+    def _check_states(self, before: int, span: float) -> None:
+        """Raise LoopError where there are no more states than `before`, after a time [s]."""
+        if len(self._evidence.states) == before and not self.stopping:
+            raise LoopError(f'no state for {span:g} s: it stopped publishing')

@@ -76,6 +76,7 @@ class ControllerNode(ManagedNode):
         report.put('commands', self._guard.controller.count, 'd')
         report.put('held back by a limit', self._guard.controller.limiter.limited, 'd')
         report.put('states lost', self._guard.state_guard.skipped, 'd')
+        self.report_schedule(report)
         self._rejections.report(report, self.ignored({
             'state': self._guard.state_guard.rejected(),
             'reference': self._guard.reference_guard.rejected()}))

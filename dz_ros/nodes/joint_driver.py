@@ -105,7 +105,7 @@ class Joint(Driver):
         self._place = place
 
     @classmethod
-    def check_axes(cls, each: Mapping[str, Configuration]) -> None:
+    def check_axes(cls, axes: Mapping[str, Configuration]) -> None:
         """Check that each axis has a joint of its own, and one controller one set of topics.
 
         Raises:
@@ -113,7 +113,7 @@ class Joint(Driver):
         """
         joints: dict[tuple[str, str], str] = {}
         first: dict[str, tuple[str, Any]] = {}
-        for name, item in each.items():
+        for name, item in axes.items():
             p = item.driver_parameters
             owner = joints.setdefault((p.state_topic, p.joint), name)
             if owner != name:

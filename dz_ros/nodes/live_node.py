@@ -21,6 +21,7 @@ from dz_ros.core.registry import allow_import
 from dz_ros.errors import ConfigurationError
 from dz_ros.live.access import Access, LOOPBACK
 from dz_ros.live.server import Server
+from dz_ros.nodes.parts.live_commissioning import Commissioning
 from dz_ros.nodes.parts.live_loop import LiveLoop
 from dz_ros.nodes.parts.live_operator import LiveOperator
 from dz_ros.nodes.ros.base import LoopNode
@@ -62,8 +63,12 @@ class LiveNode(LoopNode):
             raise ConfigurationError('port', self._port, 'must be 0 to 65535')
         if not 0.0 < minutes <= MAX_MINUTES:
             raise ConfigurationError('minutes', minutes, f'must be > 0 and <= {MAX_MINUTES:g}')
+        descriptor = self.given('commissioning', -1, 'socket of dz driver commission --live, '
+                                'which starts this node; -1 = none')
         access = Access(host, read_only)
         self._loop = LiveLoop(self, minutes)
+        if descriptor >= 0:
+            self._loop.commissioning = Commissioning(descriptor)
         self._operator = LiveOperator(self, self._loop, self._executor)
         self._loop.operator = self._operator
         self._server = Server(self._loop, access)

@@ -9,7 +9,7 @@ from pathlib import Path
 import re
 from typing import Any
 
-from dz_ros.errors import RecordingError, RunNotFoundError
+from dz_ros.errors import RecordingError, RunNotFoundError, suggestion
 from dz_ros.recording.bag_metadata import FILE_NAME, read_metadata
 
 _STORAGE = re.compile(r'\.(mcap|db3)(\.zstd)?$')
@@ -37,6 +37,14 @@ class BagFiles:
     damage: list[str] = field(default_factory=list)
 
 
+def _near(path: Path) -> str:
+    """Return what an error adds about the run beside a misspelt one; '' if there is none."""
+    try:
+        return suggestion(path.name, [item.name for item in path.parent.iterdir()])
+    except OSError:
+        return ''
+
+
 def find_files(path: Path, skip_damage: bool) -> BagFiles:
     """Return the files of the run at a path.
 
@@ -56,7 +64,7 @@ def find_files(path: Path, skip_damage: bool) -> BagFiles:
         raise RecordingError(f'{path} cannot be read: '
                              f'{getattr(error, "strerror", None) or error}') from None
     if not there:
-        raise RunNotFoundError(f'{path}: no such run')
+        raise RunNotFoundError(f'{path}: no such run{_near(path)}')
     if is_file:
         return BagFiles([path])
     if not is_directory:

@@ -97,6 +97,13 @@ def import_run(columns: Mapping[str, Column], sources: Mapping[str, Source], c: 
     seq, t = _grid(base, c, resample, notes)
     signals = {name: _taken(values, t + base[0], name == 'v', resample)
                for name, values in clean.items()}
+    for name, values in signals.items():
+        if not np.isfinite(values).any():
+            rows = clean[name][0]
+            raise RecordingError(
+                f'{name} has no number at the times of x0: its rows are from {rows[0]:.10g} to '
+                f'{rows[-1]:.10g} s, those of x0 from {base[0]:.10g} to {base[-1]:.10g} s '
+                '(messages without a header have the times at which they were recorded)')
     holes = np.zeros(len(t), dtype=bool) if not resample else _in_gaps(base, t + base[0])
     if holes.any():
         seq, t = seq[~holes], t[~holes]

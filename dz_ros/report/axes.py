@@ -8,7 +8,7 @@ OUT/AXIS/report.html     the report of that axis, as of a run of it alone
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from html import escape
 from pathlib import Path
 
@@ -22,7 +22,8 @@ from dz_ros.report.verdict import judge
 def write_axes_report(runs: Mapping[str, RunData], out: Path, *,
                       without_dead_zone: Mapping[str, RunData | None],
                       title: str = 'Run', window: tuple[float, float] | None = None,
-                      pulse: float | None = None) -> Path:
+                      pulse: float | None = None,
+                      progress: Callable[[int, int, str], None] = lambda *_: None) -> Path:
     """Write the summary and the reports of all axes; return the path of the summary.
 
     Older reports in the directories are replaced.
@@ -34,6 +35,7 @@ def write_axes_report(runs: Mapping[str, RunData], out: Path, *,
         title: Of the summary.
         window: As of `View.of`.
         pulse: As of `View.of`.
+        progress: Called with the number of axes done, of all, and the next one.
 
     Raises:
         RecordingError: An axis has no two states.
@@ -61,7 +63,8 @@ def write_axes_report(runs: Mapping[str, RunData], out: Path, *,
                                       'keys in which the axes differ') if differing
          else page.paragraph('The axes have the same configuration.')),
     ])
-    for name, run in runs.items():
+    for done, (name, run) in enumerate(runs.items()):
+        progress(done, len(runs), name)
         write_report(run, out / name, without_dead_zone=without_dead_zone[name],
                      title=f'{title}, axis {name}', window=window, pulse=pulse)
     files = {f'{picture.name}.png': data for picture, data in drawn}

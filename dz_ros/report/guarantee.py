@@ -5,9 +5,8 @@ For the law (14)–(16) of [wang2004] in continuous time, with (A1)–(A8) and (
 
     Ω_ε: |x̃_i| ≤ 2^(i−1) λ^(i−n) ε,      i = 1 … n
 
-A disturbance δ of x^(n) is covered as far as k* leaves room beside the dead-zone *(ours)*:
-
-    k* ≥ (ρ + δ_max/b_min)/m_min
+What k* covers, of the dead-zone and of a disturbance of x^(n), is `RobustGain`'s to state, for any
+law with a robust term.
 """
 
 from __future__ import annotations
@@ -17,10 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.deadzone import rho
 from dz_ros.core.design.assumptions import check_dead_zone, same_slope
 from dz_ros.core.design.finding import INFO
-from dz_ros.core.design.rules import least_robust_gain
+from dz_ros.core.design.robust_gain import RobustGain
 from dz_ros.core.safety.health import CHATTER, variation_share
 from dz_ros.core.tracking import guaranteed_bounds
 from dz_ros.report.view import View
@@ -39,17 +37,20 @@ class Guarantee:
         bounds: Ω_ε in the units of the states, shape (n,); None where there is none.
         broken: Assumptions of the theorem that this run does not meet.
         beyond: What this run has that the theorem leaves out.
+        covered: What k* covers, and whether it covers the disturbance of this run; empty where
+            that is unknown.
     """
 
     statement: str
     bounds: tuple[float, ...] | None
     broken: tuple[str, ...]
     beyond: tuple[str, ...]
+    covered: str = ''
 
 
 def guarantee(view: View) -> Guarantee:
     """Return what the theorem promises of a run; chatter is judged for any law with a layer."""
-    found = _promised(view)
+    found = replace(_promised(view), covered=_covered(view))
     return replace(found, beyond=(*found.beyond, *_chatter(view))) if view.has_layer else found
 
 
@@ -105,9 +106,8 @@ def _promised(view: View) -> Guarantee:
 
 def _broken(c: Configuration, simulated: bool) -> tuple[str, ...]:
     """Return what of (18) and, of a simulated dead-zone, of (A1)–(A4) does not hold."""
-    k_star, needed = _robust_gains(c)
-    found = [] if k_star >= needed else [
-        f'(18): k* = {k_star:g} is smaller than ρ/m_min = {needed:.4g}.']
+    gain = RobustGain.of(c)
+    found = [f'(18): {gain.words}.'] if gain is not None and not gain.covers() else []
     if simulated:
         found += [f'{item.rule}: {item.words}.' for item in check_dead_zone(c)
                   if item.level != INFO]
@@ -121,12 +121,17 @@ def _broken(c: Configuration, simulated: bool) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _robust_gains(c: Configuration) -> tuple[float, float]:
-    """Return (k*, ρ/m_min) of (18)."""
-    s = c.controller_settings
-    bound = rho(s.b_r_bounds[1], s.b_l_bounds[0], s.m_bounds[1])
-    return (float(getattr(c.law.gains, 'k_star', 0.0)),
-            least_robust_gain(bound, s.m_bounds[0]))
+def _covered(view: View) -> str:
+    """Return what k* covers, as `dz check` states it, and the largest disturbance of the run."""
+    c = view.setting.configuration
+    gain = None if c is None else RobustGain.of(c)
+    if gain is None:
+        return ''
+    disturbance = view.rows.truth.get('disturbance')
+    if disturbance is None or gain.design.k <= 0.0 or not gain.covers():
+        return f'{gain.words}.'
+    largest = float(np.abs(np.nan_to_num(disturbance)).max(initial=0.0))
+    return f'{gain.words}; this run had {largest:.4g} of it{gain.beside(largest)}.'
 
 
 def _beyond(view: View, c: Configuration) -> tuple[str, ...]:
@@ -145,13 +150,6 @@ def _beyond(view: View, c: Configuration) -> tuple[str, ...]:
                      'error.')
     if c.plant_settings.command_limit:
         found.append(f'The actuator clips |v| to {c.plant_settings.command_limit:g}.')
-    disturbance = view.rows.truth.get('disturbance')
-    if disturbance is not None and np.nan_to_num(disturbance).any():
-        k_star, needed = _robust_gains(c)
-        s = c.controller_settings
-        room = (k_star - needed) * s.m_bounds[0] * s.b_bounds[0]
-        largest = float(np.nanmax(np.abs(disturbance)))
-        word = 'covers' if largest <= room * (1.0 + 1e-9) else 'does not cover'
-        found.append(f'A disturbance of up to {largest:.4g}, which the controller does not '
-                     f'model; k* leaves room for {room:.4g}, which {word} it.')
+    if np.nan_to_num(view.rows.truth.get('disturbance', np.zeros(1))).any():
+        found.append('A disturbance that the controller does not model.')
     return tuple(found)

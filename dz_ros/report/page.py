@@ -55,7 +55,7 @@ figure .wide:focus-within { outline: 2px solid var(--accent); }
 figure img { display: block; width: 100%; height: auto; padding: .4rem; }
 figure input:checked + img { width: 80rem; max-width: none; cursor: zoom-out; }
 @media (prefers-color-scheme: dark) { figure .wide { background: var(--ground); }
-  figure img { filter: invert(.91) hue-rotate(180deg); } }
+  figure img { filter: invert(.93) hue-rotate(180deg) brightness(1.3); } }
 @media screen and (max-width: 40rem) {
   body { padding: 1rem .7rem 3rem; }
   thead { position: absolute; width: 1px; height: 1px; overflow: hidden;

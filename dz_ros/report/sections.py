@@ -21,6 +21,8 @@ MODES = {
     'lockstep': 'made in lockstep over topics: a step happens when its messages have arrived',
 }
 MOST_EVENTS = 200
+OLDEST_LISTED = 5
+"""Age of a command up to which each is listed [samples]."""
 
 
 def mode_text(view: View) -> str:
@@ -133,12 +135,23 @@ def timing(view: View) -> str:
             'How long a state waited for its command [ms]; late: more than 1 ms, too late: more '
             f'than T.{backwards(latencies)}', range(1, 8)))
     if t.samples_late:
-        parts.append(page.paragraph('Age of the newest command when a state was measured: ' +
-                                    ', '.join(f'{1 + late} sample(s) in {count} cases'
-                                              for late, count in t.samples_late.items()) + '.'))
+        parts.append(page.paragraph(f'Age of the newest command when a state was measured: '
+                                    f'{ages(t.samples_late)}.'))
     if t.speed is not None:
         parts.append(page.paragraph(f'Loop time over wall time: {t.speed:.4g}.'))
     return ''.join(parts)
+
+
+def ages(late: Mapping[int, int]) -> str:
+    """Return as text how old the newest command was, from its number of samples late → cases."""
+    found = [f'{1 + samples} sample{"s" if samples else ""} in {cases} case'
+             f'{"" if cases == 1 else "s"}' for samples, cases in late.items()
+             if samples < OLDEST_LISTED]
+    older = [cases for samples, cases in late.items() if samples >= OLDEST_LISTED]
+    if older:
+        found.append(f'more than {OLDEST_LISTED} samples in {sum(older)}, at most '
+                     f'{1 + max(late)}')
+    return ', '.join(found)
 
 
 def data(view: View) -> str:
@@ -167,6 +180,8 @@ def promised(view: View) -> str:
     """Return what the theorem promises of the run and what it does not."""
     found = guarantee(view)
     parts = [page.paragraph(found.statement)]
+    if found.covered:
+        parts.append(page.paragraph(f'Robust gain: {found.covered}'))
     if found.bounds is not None:
         worst = view.metrics.state_error_max
         parts.append(page.table(

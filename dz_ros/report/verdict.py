@@ -93,6 +93,9 @@ def _end(view: View) -> str:
     kinds = {type(event) for _, event in typed(view.run.events)}
     end = ('planned end' if FinishedEvent in kinds else 'stopped by deactivation'
            if StoppedEvent in kinds else 'no orderly end')
+    c, last = view.setting.configuration, float(view.rows.t[-1])
+    if FinishedEvent in kinds and c is not None and last < c.loop.duration - 2.0 * c.loop.period:
+        end = f'ended early, in order: {last:g} of {c.loop.duration:g} s'
     cut = view.run.info.get('cut')
     return f'{end}; recording {f"cut off: {cut}" if cut else "complete"}'
 

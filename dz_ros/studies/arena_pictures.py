@@ -19,6 +19,10 @@ from dz_ros.studies.scenarios import yardstick
 
 WIDTH = 2.0
 """A panel reaches at least from the middle divided by this to the middle times this."""
+FEW = 8
+"""Laws in a panel up to which all are named."""
+SIZE = 7.5
+"""Size of a name [pt]."""
 RECOMMENDED = 'robust_eso'
 """The entrant that is drawn in a colour of its own."""
 
@@ -75,7 +79,8 @@ def overview(arena: Arena) -> Picture | None:
 def scatter(arena: Arena) -> Picture | None:
     """Return max|x̃| against total variation, one panel a scenario; None where all are lost.
 
-    Laws are named beside their mark where no other has less of both; the others are small marks.
+    Laws are named beside their mark, all where they are `FEW`, else where no other has less of
+    both; the others are small marks.
     """
     names = [name for name in arena.plan.scenarios
              if any(not cell.lost for cell in arena.column(name).values())]
@@ -96,7 +101,7 @@ def scatter(arena: Arena) -> Picture | None:
         'error_effort', 'Error against effort',
         'Largest tracking error in the last 10 s against the total variation of the command, both '
         f'logarithmic: left and low is good, right is chatter or noise passed on. Filled: '
-        f'{RECOMMENDED}. Named: where no other law has less of both; small marks: the '
+        f'{RECOMMENDED}. Named, of many: where no other law has less of both; small marks: the '
         'others. Bars: smallest to largest over seeds or pulses. Dashed: |x̃| of Ω_ε, the same '
         'for all. Lost runs are left out.', 'One panel a scenario, one mark a law.', figure)
 
@@ -116,16 +121,38 @@ def _panel(ax: Any, arena: Arena, scenario: str) -> None:
                         ecolor=BLUE if own else GREY)
         ax.plot(*points[name], 'o', ms=6.0 if own else 3.5, mec=BLUE if own else RED, mew=0.9,
                 mfc=BLUE if own else 'white', gid=name, zorder=3.0)
-    named = sorted(unbeaten(points) | ({RECOMMENDED} & set(points)), key=lambda name: points[name])
-    for place, name in enumerate(named):
-        ax.annotate(name, points[name], (5.0, 5.0 if place % 2 else -10.0),
-                    textcoords='offset points', fontsize=7.5,
-                    color=BLUE if name == RECOMMENDED else BLACK, annotation_clip=False)
     ax.axhline(yardstick()[0], color=GREY, lw=0.8, ls=(0, (4, 2)))
     ax.set(title=scenario, xscale='log', yscale='log')
     ax.margins(y=0.12)
     if points:
         _ticks(ax, [x for x, _ in points.values()])
+    _name(ax, points)
+
+
+def _name(ax: Any, points: Mapping[str, tuple[float, float]]) -> None:
+    """Name marks beside them, where no other name or mark is: all where they are few."""
+    named = points if len(points) <= FEW else unbeaten(points) | ({RECOMMENDED} & set(points))
+    scale = 72.0 / ax.figure.dpi
+    at = {name: scale * ax.transData.transform(point) for name, point in points.items()}
+    taken = [(x - 2.0, y - 2.0, x + 2.0, y + 2.0) for x, y in at.values()]
+    for name in sorted(named, key=lambda name: points[name]):
+        wide, high = 0.56 * SIZE * len(name), SIZE
+        boxes = []
+        for right, up in ((5.0, 3.0), (5.0, -10.0), (5.0, -3.0), (-5.0 - wide, -3.0), (5.0, 13.0),
+                          (5.0, -19.0), (5.0, 21.0)):
+            x, y = at[name][0] + right, at[name][1] + up
+            boxes.append((right, up, (x, y, x + wide, y + high)))
+        right, up, box = min(boxes, key=lambda item: sum(_overlap(item[2], other)
+                                                         for other in taken))
+        taken.append(box)
+        ax.annotate(name, points[name], (right, up), textcoords='offset points', fontsize=SIZE,
+                    color=BLUE if name == RECOMMENDED else BLACK, annotation_clip=False)
+
+
+def _overlap(one: Sequence[float], other: Sequence[float]) -> float:
+    """Return the area that two boxes (left, low, right, high) share."""
+    return (max(0.0, min(one[2], other[2]) - max(one[0], other[0]))
+            * max(0.0, min(one[3], other[3]) - max(one[1], other[1])))
 
 
 def _ticks(ax: Any, x: Sequence[float]) -> None:

@@ -33,8 +33,9 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.along_reference import disturbance_along_reference
 from dz_ros.core.design.boundary_layer import chatter_limit
 from dz_ros.core.design.linear_loop import largest_gain
-from dz_ros.core.design.observation import sensor_noise
-from dz_ros.core.design.rules import dead_zone_bound, derives_epsilon, least_robust_gain
+from dz_ros.core.design.observation import measured_steps, sensor_noise, state_noise
+from dz_ros.core.design.robust_gain import dead_zone_bound, least_robust_gain
+from dz_ros.core.design.rules import derives_epsilon
 from dz_ros.core.design.stability import lambda_limit
 from dz_ros.core.laws.base import Design
 from dz_ros.core.laws.robust_eso_rules import (
@@ -186,7 +187,7 @@ def _with_observer(c: Configuration, design: Design, delta: float,
     common = (period, known.b_bounds, known.m_bounds, k_star, c.law.gains.k_d, theta, middle,
               delay)
     gains = gains_by_rule(*common)
-    noise = gains['layer_gain'] * c.noise[-1]
+    noise = gains['layer_gain'] * state_noise(c, measured_steps(driver))[-1]
     quiet = noise > NOISE * k_star
     if quiet:
         gains = gains_by_rule(*common, quiet=True)

@@ -5,7 +5,19 @@
 #include <string.h>
 
 enum { HELLO = 0x01, COMMAND = 0x02, INFO = 0x81, STATE = 0x82 };
-enum { HELLO_SIZE = 10, COMMAND_SIZE = 21, INFO_SIZE = 47, STATE_SIZE = 22 };
+/* Lengths of bodies, and where what is of one motor begins in them: the rows. */
+#if DZ_MOTORS == 1
+enum { HELLO_SIZE = 10, COMMAND_SIZE = 21, INFO_SIZE = 47 };
+enum { HOLD_AT = 18, COMMAND_ROWS = 10, INFO_ROWS = 7, NAME_AT = 31, STATE_ROWS = 20 };
+#else
+enum { HELLO_SIZE = 11, COMMAND_SIZE = 14 + 8 * DZ_MOTORS, INFO_SIZE = 24 + 24 * DZ_MOTORS };
+enum { HOLD_AT = 10, COMMAND_ROWS = 14, INFO_ROWS = 24, NAME_AT = 8, STATE_ROWS = 22 };
+#endif
+enum { MAX_STATE_SIZE = STATE_ROWS + DZ_MOTORS * (2 + 4 * DZ_MAX_VALUES) };
+
+/* Whatever travels fits. */
+typedef char dz_bodies_fit[INFO_SIZE <= DZ_MAX_BODY && MAX_STATE_SIZE <= DZ_MAX_BODY
+                           && COMMAND_SIZE <= DZ_MAX_BODY ? 1 : -1];
 
 /* A float must be IEEE 754 single precision: four bytes at least. */
 typedef char dz_float_has_four_bytes[sizeof(float) == 4 ? 1 : -1];
@@ -110,21 +122,20 @@ static void send(struct dz_device *device, uint8_t *body, size_t size)
     device->hardware->write(device->hardware->self, line, length);
 }
 
-static int32_t clip(const struct dz_device *device, int32_t v)
+static int32_t clip(const struct dz_device *device, size_t motor, int32_t v)
 {
-    int32_t limit = device->description->limit;
+    int32_t limit = device->description->motors[motor].limit;
     return v > limit ? limit : v < -limit ? -limit : v;
 }
 
-/* Take a mode and give the actuator what belongs to it. */
-static void enter(struct dz_device *device, enum dz_mode mode, int32_t v)
+/* Take a mode and give each motor what belongs to it; v is only used in RUN. */
+static void enter(struct dz_device *device, enum dz_mode mode, const int32_t *v)
 {
+    const struct dz_hardware *hardware = device->hardware;
     device->mode = mode;
-    if (mode == DZ_SAFE)
-        v = device->safe;
-    else if (mode != DZ_RUN)
-        v = 0;
-    device->hardware->actuate(device->hardware->self, mode == DZ_RUN || mode == DZ_SAFE, v);
+    for (uint8_t motor = 0; motor < DZ_MOTORS; motor++)
+        hardware->actuate(hardware->self, motor, mode == DZ_RUN || mode == DZ_SAFE,
+                          mode == DZ_RUN ? v[motor] : mode == DZ_SAFE ? device->safe[motor] : 0);
 }
 
 /* Begin a session without power; the same HELLO again changes nothing but the period. */
@@ -140,19 +151,29 @@ static void greet(struct dz_device *device, const uint8_t *body, uint32_t now_us
         device->fresh = 1;
         device->echo = 0;
         if (device->mode == DZ_RUN || device->mode == DZ_SAFE)
-            enter(device, DZ_DISABLED, 0);
+            enter(device, DZ_DISABLED, NULL);
     }
-    device->period_us = period_us < DZ_MIN_PERIOD_US ? DZ_MIN_PERIOD_US : period_us;
+    device->period_us = period_us < DZ_MIN_PERIOD_US ? DZ_MIN_PERIOD_US
+        : period_us > DZ_MAX_PERIOD_US ? DZ_MAX_PERIOD_US : period_us;
     device->due_us = now_us;
     info[0] = DZ_VERSION;
     info[1] = INFO;
     put32(info + 2, session);
+#if DZ_MOTORS == 1
     info[6] = is->values;
-    put32(info + 7, (uint32_t)is->limit);
-    put_float(info + 11, is->command_scale);
-    for (size_t i = 0; i < DZ_MAX_VALUES; i++)
-        put_float(info + 15 + 4 * i, i < is->values ? is->state_scales[i] : 0.0f);
-    memcpy(info + 31, is->name, 16);
+#else
+    info[6] = DZ_MOTORS;
+    info[7] = is->values;
+#endif
+    for (size_t motor = 0; motor < DZ_MOTORS; motor++) {
+        const struct dz_motor *own = &is->motors[motor];
+        uint8_t *row = info + INFO_ROWS + 24 * motor;
+        put32(row, (uint32_t)own->limit);
+        put_float(row + 4, own->command_scale);
+        for (size_t i = 0; i < DZ_MAX_VALUES; i++)
+            put_float(row + 8 + 4 * i, i < is->values ? own->state_scales[i] : 0.0f);
+    }
+    memcpy(info + NAME_AT, is->name, 16);
     send(device, info, INFO_SIZE);
 }
 
@@ -160,8 +181,9 @@ static void greet(struct dz_device *device, const uint8_t *body, uint32_t now_us
 static void take(struct dz_device *device, const uint8_t *body, uint32_t now_us)
 {
     uint32_t session = get32(body + 2), seq = get32(body + 6), ahead = seq - device->echo;
-    uint16_t hold_ms = get16(body + 18);
-    uint8_t request = body[20];
+    uint16_t hold_ms = get16(body + HOLD_AT);
+    uint8_t request = body[HOLD_AT + 2];
+    int32_t v[DZ_MOTORS];
     if (hold_ms == 0 || hold_ms > DZ_MAX_HOLD_MS || request > DZ_ASK_RESET)
         return;
     if (device->session == 0 || session != device->session)
@@ -173,20 +195,24 @@ static void take(struct dz_device *device, const uint8_t *body, uint32_t now_us)
     device->taken_us = now_us;
     device->hold_us = 1000u * (uint32_t)hold_ms;
     device->expired = 0;
-    device->safe = clip(device, get_signed(body + 14));
+    for (size_t motor = 0; motor < DZ_MOTORS; motor++) {
+        const uint8_t *row = body + COMMAND_ROWS + 8 * motor;
+        v[motor] = clip(device, motor, get_signed(row));
+        device->safe[motor] = clip(device, motor, get_signed(row + 4));
+    }
     if (request == DZ_ASK_ESTOP) {
-        enter(device, DZ_ESTOP, 0);
+        enter(device, DZ_ESTOP, NULL);
     } else if (device->mode == DZ_FAULT || device->mode == DZ_ESTOP) {
         if (request == DZ_ASK_RESET) {
-            device->fault = 0;
-            enter(device, DZ_DISABLED, 0);  /* a fault that lasts is back before the next state */
+            memset(device->faults, 0, sizeof device->faults);
+            enter(device, DZ_DISABLED, NULL);   /* a lasting fault is back before the next state */
         }
     } else if (request == DZ_ASK_RUN && device->mode != DZ_DISABLED) {
-        enter(device, DZ_RUN, clip(device, get_signed(body + 10)));
+        enter(device, DZ_RUN, v);
     } else if (request == DZ_ASK_SAFE) {
-        enter(device, DZ_SAFE, 0);
+        enter(device, DZ_SAFE, NULL);
     } else if (request == DZ_ASK_DISABLE) {
-        enter(device, DZ_DISABLED, 0);
+        enter(device, DZ_DISABLED, NULL);
     }
 }
 
@@ -200,6 +226,11 @@ static void judge(struct dz_device *device, uint32_t now_us)
     size -= 4;
     if (body[0] != DZ_VERSION)
         return;
+#if DZ_MOTORS > 1
+    if ((body[1] == HELLO && size == HELLO_SIZE && body[10] != DZ_MOTORS)
+        || (body[1] == COMMAND && size == COMMAND_SIZE && body[13] != DZ_MOTORS))
+        return;
+#endif
     if (body[1] == HELLO && size == HELLO_SIZE)
         greet(device, body, now_us);
     else if (body[1] == COMMAND && size == COMMAND_SIZE)
@@ -227,15 +258,16 @@ void dz_device_init(struct dz_device *device, const struct dz_hardware *hardware
     device->hardware = hardware;
     device->description = description;
     device->period_us = DZ_IDLE_PERIOD_US;
-    enter(device, DZ_DISABLED, 0);
+    enter(device, DZ_DISABLED, NULL);
 }
 
 void dz_device_step(struct dz_device *device, uint32_t now_us)
 {
     const struct dz_hardware *hardware = device->hardware;
-    uint8_t bytes[32], state[STATE_SIZE + 4 * DZ_MAX_VALUES + 4];
-    int32_t values[DZ_MAX_VALUES] = {0};
-    size_t got;
+    uint8_t bytes[32], state[MAX_STATE_SIZE + 4];
+    int32_t values[DZ_MOTORS][DZ_MAX_VALUES] = {{0}};
+    uint8_t faulty = 0;
+    size_t got, size = STATE_ROWS;
     /* A flood of bytes must not keep the watchdog from its turn. */
     for (int turn = 0; turn < 8; turn++) {
         got = hardware->read(hardware->self, bytes, sizeof bytes);
@@ -250,13 +282,17 @@ void dz_device_step(struct dz_device *device, uint32_t now_us)
     if (device->expired && (device->mode == DZ_RUN || device->mode == DZ_SAFE)) {
         if (device->mode == DZ_RUN)
             device->trips++;
-        enter(device, DZ_SAFE, 0);
+        enter(device, DZ_SAFE, NULL);
     }
-    uint16_t fault = hardware->measure(hardware->self, values);
-    if (fault != 0 && device->mode != DZ_ESTOP) {
-        device->fault = fault;
-        enter(device, DZ_FAULT, 0);
+    for (uint8_t motor = 0; motor < DZ_MOTORS; motor++) {
+        uint16_t fault = hardware->measure(hardware->self, motor, values[motor]);
+        if (fault != 0 && device->mode != DZ_ESTOP) {
+            device->faults[motor] = fault;
+            faulty = 1;
+        }
     }
+    if (faulty)
+        enter(device, DZ_FAULT, NULL);
     if (now_us - device->due_us >= 0x80000000u && device->seq != 0)
         return;
     device->due_us += device->period_us;
@@ -270,8 +306,15 @@ void dz_device_step(struct dz_device *device, uint32_t now_us)
     put32(state + 14, device->echo);
     state[18] = (uint8_t)device->mode;
     state[19] = device->trips;
-    put16(state + 20, device->fault);
-    for (size_t i = 0; i < device->description->values; i++)
-        put32(state + STATE_SIZE + 4 * i, (uint32_t)values[i]);
-    send(device, state, STATE_SIZE + 4 * (size_t)device->description->values);
+#if DZ_MOTORS > 1
+    state[20] = DZ_MOTORS;
+    state[21] = device->description->values;
+#endif
+    for (size_t motor = 0; motor < DZ_MOTORS; motor++) {
+        put16(state + size, device->faults[motor]);
+        size += 2;
+        for (size_t i = 0; i < device->description->values && i < DZ_MAX_VALUES; i++, size += 4)
+            put32(state + size, (uint32_t)values[motor][i]);
+    }
+    send(device, state, size);
 }

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-/* The firmware on a PC: the line is standard input and output, the hardware a simulated servo.
+/* The firmware on a PC: the line is standard input and output, the hardware DZ_MOTORS simulated
+ * servos.
  *
  *     cc -std=c99 -O2 -Wall -Wextra -Werror -o firmware dz_device.c line_main.c -lm
  *     dz driver emulate serial --option program=./firmware
  *
- * The servo is that of config/serial.yaml without its cogging: J q'' + B q' + T_c tanh(q'/w_s) =
- * K_t D(v), behind the dead-zone D of slope 1 between b_l and b_r. SIGUSR1 makes its amplifier
- * report fault 7, SIGUSR2 takes it back. It ends with its line.
+ * Each servo is that of config/serial.yaml without its cogging: J q'' + B q' + T_c tanh(q'/w_s) =
+ * K_t D(v), behind the dead-zone D of slope 1 between b_l and b_r. SIGUSR1 makes their amplifiers
+ * report fault 7, SIGRTMIN + k that of motor k, SIGUSR2 takes it back. It ends with its line.
  */
 #define _POSIX_C_SOURCE 200809L
 
@@ -25,16 +26,24 @@
 #define SPEED_SCALE 1e-5                    /* rad/s */
 #define STEP 1e-4                           /* of the integration [s] */
 
-static volatile sig_atomic_t overcurrent;
+static volatile sig_atomic_t overcurrent[DZ_MOTORS];
 
 struct servo {
     double t, angle, speed, current;
+};
+
+struct bench {
+    struct servo servos[DZ_MOTORS];
     int ended;
 };
 
 static void set_fault(int number)
 {
-    overcurrent = number == SIGUSR1 ? 7 : 0;
+    for (int motor = 0; motor < DZ_MOTORS; motor++)
+        if (number == SIGUSR2)
+            overcurrent[motor] = 0;
+        else if (number == SIGUSR1 || number == SIGRTMIN + motor)
+            overcurrent[motor] = 7;
 }
 
 static double seconds(void)
@@ -66,56 +75,62 @@ static void advance(struct servo *servo, double now)
 
 static size_t line_read(void *self, uint8_t *data, size_t size)
 {
-    struct servo *servo = self;
+    struct bench *bench = self;
     struct pollfd in = {.fd = STDIN_FILENO, .events = POLLIN};
     if (poll(&in, 1, 0) <= 0)
         return 0;
     ssize_t got = read(STDIN_FILENO, data, size);
     if (got == 0)
-        servo->ended = 1;
+        bench->ended = 1;
     return got > 0 ? (size_t)got : 0;
 }
 
 static void line_write(void *self, const uint8_t *data, size_t size)
 {
-    struct servo *servo = self;
+    struct bench *bench = self;
     struct pollfd out = {.fd = STDOUT_FILENO, .events = POLLOUT};
     if (poll(&out, 1, 0) > 0 && write(STDOUT_FILENO, data, size) < 0)
-        servo->ended = 1;
+        bench->ended = 1;
 }
 
-static uint16_t servo_measure(void *self, int32_t *values)
+static uint16_t servo_measure(void *self, uint8_t motor, int32_t *values)
 {
-    struct servo *servo = self;
+    struct servo *servo = &((struct bench *)self)->servos[motor];
     advance(servo, seconds());
     values[0] = (int32_t)lround(servo->angle / ANGLE_SCALE);
     values[1] = (int32_t)lround(servo->speed / SPEED_SCALE);
-    return (uint16_t)overcurrent;
+    return (uint16_t)overcurrent[motor];
 }
 
-static void servo_actuate(void *self, int powered, int32_t v)
+static void servo_actuate(void *self, uint8_t motor, int powered, int32_t v)
 {
-    struct servo *servo = self;
+    struct servo *servo = &((struct bench *)self)->servos[motor];
     advance(servo, seconds());
     servo->current = powered ? COMMAND_SCALE * v : 0.0;
 }
 
 int main(void)
 {
-    static const struct dz_description description = {
-        .values = 2, .limit = 30000, .command_scale = (float)COMMAND_SCALE,
-        .state_scales = {(float)ANGLE_SCALE, (float)SPEED_SCALE}, .name = "firmware on a PC"};
-    struct servo servo = {.t = seconds(), .angle = 0.1};
-    struct dz_hardware hardware = {line_read, line_write, servo_measure, servo_actuate, &servo};
+    struct dz_description description = {.values = 2, .name = "firmware on a PC"};
+    struct bench bench = {.ended = 0};
+    struct dz_hardware hardware = {line_read, line_write, servo_measure, servo_actuate, &bench};
     struct dz_device device;
     struct sigaction action;
+    for (size_t motor = 0; motor < DZ_MOTORS; motor++) {
+        bench.servos[motor] = (struct servo){.t = seconds(), .angle = 0.1};
+        description.motors[motor] = (struct dz_motor){
+            .limit = 30000, .command_scale = (float)COMMAND_SCALE,
+            .state_scales = {(float)ANGLE_SCALE, (float)SPEED_SCALE}};
+    }
     memset(&action, 0, sizeof action);
     action.sa_handler = set_fault;
     sigaction(SIGUSR1, &action, NULL);
     sigaction(SIGUSR2, &action, NULL);
+    for (int motor = 0; motor < DZ_MOTORS; motor++)
+        sigaction(SIGRTMIN + motor, &action, NULL);
     signal(SIGPIPE, SIG_IGN);
     dz_device_init(&device, &hardware, &description);
-    while (!servo.ended) {
+    while (!bench.ended) {
         struct pollfd in = {.fd = STDIN_FILENO, .events = POLLIN};
         struct timespec nap = {0, 100000};
         dz_device_step(&device, (uint32_t)(uint64_t)(seconds() * 1e6));

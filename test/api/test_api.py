@@ -4,6 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+import re
 import subprocess
 import sys
 from typing import Any
@@ -13,9 +14,7 @@ import pytest
 
 import dz_ros as dz
 from dz_ros.core.loop.offline import simulate
-from dz_ros.core.plants.base import Plant
 from dz_ros.core.plants.servo import Servo
-from dz_ros.core.schema import parameter
 from dz_ros.errors import ConfigurationError, RunExistsError, UnknownNameError
 from dz_ros.files.configurations import find_configuration, load_configuration
 
@@ -26,10 +25,10 @@ SHORT = {'loop.duration': 2.0}
 class MassParameters:
     """Parameters of the mass."""
 
-    b: float = parameter(2.0, 'm/s² per N', 'input gain', minimum=0.0, open_minimum=True)
+    b: float = dz.parameter(2.0, 'm/s² per N', 'input gain', minimum=0.0, open_minimum=True)
 
 
-class Mass(Plant):
+class Mass(dz.Plant):
     """A mass with drag, of a script."""
 
     name = 'mass_of_a_script'
@@ -99,6 +98,10 @@ def test_a_run_says_what_it_is():
     assert repr(run).startswith('<Run ')
     assert 'servo' in repr(run)
     assert 'rad' in repr(run)
+    assert re.fullmatch(r'<Run wang2004 on wang2004, 401 samples, 2 s, max\|x̃\| [\d.]+>',
+                        repr(dz.simulate('wang2004', SHORT)))      # x has no unit
+    assert repr(dz.load('servo', SHORT)) == (
+        '<Configuration robust_eso on servo, point_to_point, 200 Hz, 2 s>')
     assert run.units['x1'] == 'rad/s'
     assert run.units['v'] == 'A'
     assert run.units['t'] == 's'

@@ -190,3 +190,56 @@ def test_what_does_not_go_with_the_axes_of_a_run_is_one_line(recorded, config, c
     capsys.readouterr()
     assert main(['bag', 'info', str(tmp_path / 'run')]) == 0
     assert 'axes:' not in capsys.readouterr().out
+
+
+def checked(capsys, monkeypatch, *words):
+    """Return (exit code, check → result) of `dz driver check` in this process alone."""
+    monkeypatch.setattr('dz_ros.cli.driver.check.find_spec', lambda _name: None)
+    monkeypatch.setattr('dz_ros.drivers.conformance.driver_checks.RUN_DURATION', 0.3)
+    code = main(['driver', 'check', *words, '--yes', '--json'])
+    lines = map(json.loads, capsys.readouterr().out.splitlines())
+    return code, {item['name']: item for item in lines}
+
+
+LATE = {'measurement', 'answers at once'}
+"""Checks that a busy machine may fail."""
+
+
+def failed(found):
+    return {name for name, item in found.items() if item['passed'] is False
+            and name.partition(': ')[2] not in LATE}
+
+
+def test_the_kit_checks_the_driver_of_each_axis_and_all_together(config, capsys, monkeypatch):
+    _, found = checked(capsys, monkeypatch, config)
+    assert failed(found) == set()
+    for axis in ('surge', 'yaw'):
+        assert {f'{axis}: {name}' for name in (
+            'declaration', 'opens', 'measurement', 'answers at once', 'no fault', 'safe command',
+            'limit', 'stop and reset', 'restart', 'reconnect', 'as a node')} <= set(found)
+    assert [name for name in found if name.startswith('all axes: ')] == [
+        f'all axes: {name}' for name in ('opens', 'measurement', 'answers at once', 'no fault',
+                                         'restart')]
+    _, alone = checked(capsys, monkeypatch, config, '--axis', 'yaw')
+    assert not any(': ' in name for name in alone)
+    of_yaw = {name for name in found if name.startswith('yaw: ')}
+    assert {f'yaw: {name}' for name in alone} == of_yaw
+
+
+def test_the_kit_names_the_axis_that_fails(config, capsys, monkeypatch):
+    code, found = checked(
+        capsys, monkeypatch, 'mock', '--config', config, '--set',
+        'axes.yaw.driver.script=["0- fault burnt"]')
+    assert code == 1
+    assert {name.partition(': ')[0] for name in failed(found)} == {'yaw', 'all axes'}
+    assert 'axis yaw: burnt' in found['all axes: no fault']['words']
+
+
+def test_what_cannot_be_checked_is_one_line(config, capsys):
+    for words, text in ((['--topics', '--config', config], 'choose it with --axis'),
+                        ([], 'give a driver, a configuration or --topics'),
+                        (['mock', '--topics'], 'give a driver, a configuration or --topics'),
+                        ([config, '--amplitude', '-1', '--yes'], 'of axis surge'),
+                        (['nothing'], 'nothing')):
+        assert main(['driver', 'check', *words]) == 2
+        assert text in capsys.readouterr().err

@@ -31,7 +31,7 @@ def test_the_commands_of_the_page(tmp_path, monkeypatch, capsys):
     out = tmp_path / 'servo-first'
     page = (Path(__file__).parents[2] / 'docs' / 'commissioning.md').read_text(encoding='utf-8')
     first, second = (shlex.split(line)[1:] for line in page.splitlines()
-                     if line.startswith('dz driver commission'))
+                     if line.startswith('dz driver commission') and '--live' not in line)
     monkeypatch.chdir(tmp_path)
     assert main([*first, *DEVICE[1:], '--repeats', '4', '--until', 'check']) == 0
     printed = capsys.readouterr().out
@@ -110,11 +110,26 @@ def test_limits_are_asked_where_they_are_not_given(tmp_path, monkeypatch):
     assert log(out)[2]['words'] == 'nothing has moved'
 
 
+def test_a_configuration_given_later_is_kept_for_later_steps(tmp_path):
+    out = tmp_path / 'first'
+    turned = ['--set', 'driver.name=mock', '--set', 'driver.script=["0- reversed"]']
+    again = ['driver', 'commission', '--until', 'sign', '--yes', '--out', str(out), '--from']
+    assert main(['driver', 'commission', *DEVICE, *turned, *LIMITS, *again[2:-1]]) == 1
+    assert main([*again, 'sign', '--set', 'driver.script=[]']) == 0
+    assert main([*again, 'sign']) == 0      # by what was given last
+    assert [item['outcome'] for item in log(out)] == ['done', 'failed', 'done', 'done']
+    assert load_configuration(out / 'configuration.yaml').driver_settings.name == 'mock'
+    assert 'reversed' in (out / 'configuration.yaml').read_text()
+    assert 'reversed' not in (out / '03-configuration.yaml').read_text()
+    assert not (out / '04-configuration.yaml').exists()
+
+
 @pytest.mark.parametrize(('words', 'text'), [
     ((), "CONFIG = '': must name the configuration"),
     (('servo',), '--travel = None: must be given [rad]'),
     (('servo', *LIMITS, '--amplitude', '2'), '--amplitude = 2.0: must be > 0 and at most the tra'),
     (('servo', *LIMITS, '--loop-duration', '1'), '--loop-duration = 1.0: must be >= 5'),
+    (('servo', *LIMITS, '--live', '--until', 'sign'), "--until = 'sign': is not for --live"),
     (('servo', *LIMITS, '--from', 'sign'), 'must be the folder of earlier steps'),
     (('servo', *LIMITS, '--set', 'plant.command_limit=3'), '--effort = 4.0: must be <= 3'),
     (('servo', *LIMITS, '--set', 'safety.nothing=3'), 'safety.nothing'),

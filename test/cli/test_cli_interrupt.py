@@ -53,7 +53,8 @@ def waiting(process, period, what):
 
 def interrupt(process, group, folder):
     """Send Ctrl-C to the process, or as a terminal does to its group; return what it printed."""
-    (os.killpg if group else os.kill)(process.pid, signal.SIGINT)
+    if process.poll() is None:
+        (os.killpg if group else os.kill)(process.pid, signal.SIGINT)
     out, _ = process.communicate(timeout=TIME_OUT)
     err = (folder / 'stderr.txt').read_text()
     return out, ''.join(line for line in err.splitlines(True)
@@ -74,8 +75,8 @@ def of_session(leader):
 
 
 @pytest.mark.parametrize(('imported', 'delay', 'group'), [
-    ('argparse', 0.0, False), ('numpy', 0.0, True), ('dz_ros.core.laws', 0.5, True),
-    ('dz_ros.core.laws', 2.0, False)])
+    ('dz_ros.runtime.import_path', 0.0, True), ('argparse', 0.0, False), ('numpy', 0.0, True),
+    ('dz_ros.core.laws', 0.5, True), ('dz_ros.core.laws', 2.0, False)])
 @pytest.mark.parametrize('verb', LONG)
 def test_an_interrupt_is_one_line(verb, imported, delay, group, tmp_path):
     process = start(LONG[verb], tmp_path, imported)
@@ -90,6 +91,35 @@ def test_an_interrupt_is_one_line(verb, imported, delay, group, tmp_path):
     deadline = time.monotonic() + TIME_OUT
     while left := of_session(process.pid):
         assert time.monotonic() < deadline, left
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize('verb', ['simulate', 'tune'])
+def test_interrupts_while_it_ends_change_nothing(verb, tmp_path):
+    process = start(LONG[verb], tmp_path, 'dz_ros.core.laws')
+    while process.poll() is None:
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.001)
+    out, err = interrupt(process, False, tmp_path)
+    assert process.returncode == 130, err
+    assert 'Traceback' not in out + err
+    assert err.splitlines()[-1].startswith('dz: interrupted')
+
+
+def test_the_processes_of_doctor_leave_the_interrupt_to_it(tmp_path):
+    process = start(['doctor', '--seconds', '5'], tmp_path, 'dz_ros.core.statistics')
+    found = []
+    for _ in waiting(process, 0.01, 'nothing was measured'):
+        found = [int(pid) for task in Path(f'/proc/{process.pid}/task').iterdir()
+                 for pid in (task / 'children').read_text().split()]
+        if found:
+            break
+    out, err = interrupt(process, True, tmp_path)
+    assert process.returncode == 130, err
+    assert 'Traceback' not in out + err
+    deadline = time.monotonic() + TIME_OUT
+    while any(of_session(pid) for pid in found):    # each leads a session of its own
+        assert time.monotonic() < deadline, found
         time.sleep(0.02)
 
 
@@ -112,6 +142,32 @@ def test_no_verb_shows_a_traceback_while_it_starts(path, imported, delay, ros_do
             break
         time.sleep(0.02)
     assert not of_session(process.pid)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('rows', [0, 2])
+def test_a_sweep_on_a_cluster_ends_at_once_and_leaves_the_cluster_usable(rows, cluster, tmp_path):
+    address, workers = cluster
+    words = ['sweep', 'wang2004', '--duration', '20', '--out', 'a.csv', '--cluster', address]
+    process = start([*words, '--over', 'controller.lambda=1:10:20000'], tmp_path)
+    for _ in waiting(process, 0.01, 'no rows'):     # head and fingerprint are two lines
+        if ((tmp_path / 'a.csv').exists()
+                and (tmp_path / 'a.csv').read_text().count('\n') >= 2 + rows):
+            break
+    _, err = interrupt(process, True, tmp_path)
+    assert process.returncode == 130, err
+    assert 'Traceback' not in err
+    assert re.fullmatch(r'dz: interrupted: \d+ of 20000 runs are kept; the same command goes on',
+                        err.splitlines()[-1]), err
+    assert not of_session(process.pid)
+    assert [worker.poll() for worker in workers] == [None, None]     # they are not its own
+    words[words.index('a.csv')] = 'b.csv'
+    done = subprocess.run([sys.executable, '-m', 'dz_ros', *words, '--over',
+                           'controller.lambda=1:2:4'], cwd=tmp_path, capture_output=True,
+                          text=True, timeout=TIME_OUT, check=False,
+                          env={**os.environ, 'PYTHONPATH': ROOT})
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / 'b.csv').read_text().count('\n') == 2 + 4
 
 
 def test_a_sweep_names_what_is_kept(tmp_path):

@@ -46,6 +46,27 @@ def test_a_noun_lists_its_verbs(noun, capsys):
             assert verb.summary in text
 
 
+LIMITED = """
+import errno, resource
+from dz_ros.cli.processes import ParameterFiles
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+with ParameterFiles() as files:
+    try:
+        print(files.add('x' * 5000))
+    except OSError as error:
+        print(errno.errorcode[error.errno])
+    with open(files.add('x' * 4096), 'rb') as whole:
+        print(len(whole.read()))
+"""
+
+
+def test_parameters_of_nodes_are_whole_or_an_error():
+    done = subprocess.run([sys.executable, '-c', LIMITED], capture_output=True, text=True,
+                          timeout=60, check=False, env={
+                              **os.environ, 'PYTHONPATH': str(Path(dz_ros.__file__).parents[1])})
+    assert done.stdout.split() == ['EFBIG', '4096'], done.stderr
+
+
 def test_version(capsys):
     assert main(['--version']) == 0
     assert capsys.readouterr().out == f'dz_ros {version()}\n'

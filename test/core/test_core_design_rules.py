@@ -12,7 +12,8 @@ from dz_ros.core.deadzone import DeadZone
 from dz_ros.core.design import along_reference
 from dz_ros.core.design.along_reference import disturbance_along_reference, largest_derivatives
 from dz_ros.core.design.finding import ERROR, Finding, INFO, WARNING, worst
-from dz_ros.core.design.rules import check, least_robust_gain
+from dz_ros.core.design.robust_gain import least_robust_gain
+from dz_ros.core.design.rules import check
 from dz_ros.core.laws import LAWS
 from dz_ros.core.laws.extensions import break_point
 from dz_ros.core.laws.pd import Pd
@@ -76,13 +77,14 @@ def test_numbers_of_the_example():
     ({'plant.b': 2.0}, 'input gain', WARNING, 'b = 2'),
     ({'plant.b': 2.0, 'controller.b_bounds': [0.5, 2.0]}, 'input gain', INFO, 'holds'),
     ({'controller.k_star': 1.0}, '(18)', ERROR, 'rho/m_min = 1.029'),
-    ({'controller.k_star': 1.5}, '(18)', WARNING, 'covers 0.4'),
+    ({'controller.k_star': 1.5}, '(18)', WARNING, 'a disturbance of up to 0.4'),
     ({'controller.law': 'adaptive'}, '(18)', WARNING, 'no robust term'),
     ({'controller.law': 'pid'}, 'Ω', INFO, 'promises no set'),
     ({'controller.law': 'exact_inverse'}, '(18)', INFO, 'compensates the dead-zone itself'),
     ({'controller.law': 'robust', 'controller.k_star': 2.0}, '(18)', ERROR, 'of the integral'),
-    ({'controller.law': 'robust'}, '(18)', INFO, 'of the disturbance 1.25'),
-    ({'controller.law': 'robust', 'controller.rho_1': 1.0}, '(18)', WARNING, 'covers 0'),
+    ({'controller.law': 'robust'}, '(18)', INFO, 'the model has 1.25 of it, of which the'),
+    ({'controller.law': 'robust', 'controller.rho_1': 1.0}, '(18)', WARNING,
+     'a disturbance of up to 0.0005; along the reference the model has 1.25 of it, more than'),
     ({'controller.law': 'robust'}, 'projection', INFO, 'holds'),
     ({'controller.law': 'robust', 'controller.b_bounds': [0.2, 2.0]}, 'projection', WARNING,
      'φ̂ may have to be in [0.4, 5.88]'),

@@ -1,14 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The guard under noise: the rule ε >= 4 σ_s, and simulations on both sides of it."""
 
+import math
+
+import numpy as np
 import pytest
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.finding import INFO, WARNING
 from dz_ros.core.design.guard_noise import check_guard, noise_in_s
 from dz_ros.core.design.rules import check
+from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.core.loop.offline import simulate
 from dz_ros.core.signals import STATUS
+from dz_ros.errors import ConfigurationError
+from dz_ros.files.configurations import load_configuration
 
 
 def noisy(law, ratio, **changes):
@@ -23,7 +29,7 @@ def test_the_rule_is_what_simulation_shows(law):
     kappas = []
     for ratio, level in ((4.5, INFO), (2.0, WARNING)):
         c = noisy(law, ratio)
-        finding, = check_guard(c, 2, 0.0)
+        finding, = check_guard(c, 2, (0.0,))
         assert finding.level == level
         assert finding.numbers['ratio'] == pytest.approx(ratio)
         place = STATUS + 1 + list(c.law.signal_names).index('kappa_f')
@@ -43,7 +49,60 @@ def test_what_it_does_not_see_is_stated_by_dz_check():
 def test_an_observed_velocity_passes_more_noise():
     c = Configuration.from_flat({'controller.law': 'robust_eso', 'plant.noise': [1e-4, 0.0],
                                  'driver.measured': 1})
-    assert noise_in_s(c, 1, 0.0) > 10.0 * noise_in_s(c, 2, 0.0)
-    finding, = check_guard(c, 1, 6e-3)
+    assert noise_in_s(c, 1, (0.0,)) > 10.0 * noise_in_s(c, 2, (0.0,))
+    finding, = check_guard(c, 1, (6e-3,))
     assert finding.level == WARNING
     assert 'widen' in finding.change
+
+
+STEPS = {'plant.model': 'servo', 'controller.law': 'robust_eso', 'plant.resolution': 1e-3,
+         'plant.derivative_resolution': [0.01], 'loop.duration': 3.0}
+
+
+def test_steps_of_each_measured_state_are_noise_in_s():
+    c = Configuration.from_flat(STEPS)
+    finding, = (item for item in check(c) if item.rule == 'guard')
+    lambda_ = c.law.design.lambda_
+    assert finding.numbers['noise'] == pytest.approx(
+        math.hypot(lambda_ * 1e-3, 0.01) / math.sqrt(12.0))
+    assert 'measurement noise (v shows' in ' '.join(item.words for item in check(c))
+    # A device that states its steps is judged as the simulated one that has them.
+    device = c.replace(**{'plant.resolution': 0.0, 'plant.derivative_resolution': [],
+                          'driver.resolution': 1e-3, 'driver.derivative_resolution': [0.01]})
+    assert [item for item in check(device) if item.rule == 'guard'] == [finding]
+
+
+@pytest.mark.parametrize('fast', [False, True])
+def test_the_simulated_sensor_counts_each_state_in_its_steps(fast):
+    if fast:
+        pytest.importorskip('numba', reason='numba is not installed')
+    c = Configuration.from_flat(STEPS)
+    run = (simulate_fast if fast else simulate)(c)
+    for i, step in enumerate((1e-3, 0.01)):
+        counts = run.x_measured[:, i] / step
+        assert np.abs(counts - np.round(counts)).max() < 1e-9
+        assert np.abs(run.x_measured[:, i] - run.x[:, i]).max() <= 0.5000001 * step
+    device = c.make_driver()
+    device.advance(0.0, 0)
+    assert device.derivative_resolution == (0.01,)
+    device.x[:] = [0.0126, 0.0374]
+    assert device.measure() == pytest.approx((0.013, 0.04))
+
+
+def test_drives_state_the_steps_of_what_they_measure():
+    c = load_configuration('cia402', [])
+    drive = c.make_driver()
+    counts = c.driver_parameters.counts_per_rev * c.driver_parameters.gear
+    assert drive.resolution == pytest.approx(c.driver_parameters.unit_per_rev / counts)
+    speed = (c.driver_parameters.velocity_counts
+             or c.driver_parameters.counts_per_rev) * c.driver_parameters.gear
+    assert drive.derivative_resolution == pytest.approx(
+        (c.driver_parameters.unit_per_rev / speed,))
+    pytest.importorskip('serial', reason='pyserial is not installed')
+    board = load_configuration('serial', ['driver.state_scales=[0.001, 0.02]']).make_driver()
+    assert (board.resolution, *board.derivative_resolution) == (0.001, 0.02)
+
+
+def test_more_steps_than_states_are_refused():
+    with pytest.raises(ConfigurationError, match='at most 1 values for servo'):
+        Configuration.from_flat({**STEPS, 'plant.derivative_resolution': [0.01, 0.1]})

@@ -131,7 +131,8 @@ def test_files_are_what_ros_can_read(name):
 
 
 OFF = {'loop.axes', 'loop.schedule_values', 'loop.schedule_times', 'loop.schedule_topic',
-       'plant.backlash', 'plant.static_friction', 'plant.stribeck_speed', 'plant.stick_time',
+       'plant.derivative_resolution', 'plant.backlash', 'plant.static_friction',
+       'plant.stribeck_speed', 'plant.stick_time',
        'controller.error_band', 'controller.regressors_at',
        *(f'plant.dead_zone.{item}' for item in (
            'edge_slope', 'edge_span', 'schedule_points', 'm_r_table', 'm_l_table', 'b_r_table',
@@ -148,7 +149,8 @@ def test_files_list_every_value_that_matters(name):
                 *(f'plant.dead_zone.{item}_drift' for item in ('m_r', 'm_l', 'b_r', 'b_l'))}
     assert missing <= optional | OFF
     if name == 'wang2004':
-        assert missing <= {'loop.peers', 'safety.runaway_time', 'driver.command_resolution'} | OFF
+        assert missing <= {'loop.peers', 'safety.runaway_time', 'driver.command_resolution',
+                           'driver.derivative_resolution'} | OFF
 
 
 def test_the_paper_s_file_is_the_defaults():

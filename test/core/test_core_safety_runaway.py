@@ -137,3 +137,29 @@ def test_the_actuators_end_forgets_what_was_before_a_stop():
         else:
             guard.command(Command(k, k * T, 3.0, k, k * T).numbers(), k, k * T)
         assert guard.measured((0.0, -3.0 * k * T), 3.0, k * T) is None
+
+
+@pytest.mark.parametrize(('behind', 'stops'), [(1, True), (2, True), (3, False), (20, False)])
+def test_the_controllers_end_does_not_judge_by_commands_that_have_not_arrived(behind, stops):
+    """A stalled actuator holds an old command; the newest says nothing about what it does."""
+    c = Configuration.from_flat({'plant.model': 'servo', 'controller.law': 'pd',
+                                 'trajectory.kind': 'constant',
+                                 'safety.command_limit': 3.0, 'safety.error_limit': 0.0})
+    controller = Controller(c)
+
+    def respond():
+        for k in range(400):
+            x_d = [0.0] * 3
+            c.trajectory.evaluate(k * T, c.trajectory.constants, x_d)
+            controller.set_reference(Reference(k, k * T, tuple(x_d)))
+            # Away from the reference, ever faster, while v pushes towards it.
+            speed = -8.0 * k * T
+            command, _ = controller.respond(State(k, k * T, (0.5 * speed * k * T, speed),
+                                                  k - behind, (k - behind) * T))
+            assert k == 0 or command.v > 0.0
+
+    if stops:
+        with pytest.raises(ViolationError, match='runaway'):
+            respond()
+    else:
+        respond()

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fixtures of the tests of drivers: a serial driver, a port, waiting while driving, the kit."""
 
+import contextlib
+from dataclasses import replace
 import os
 from pathlib import Path
 import pty
@@ -14,8 +16,9 @@ import pytest
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.conformance import driver_checks
-from dz_ros.drivers.serial.framing import Receiver
-from dz_ros.drivers.serial.protocol import decode
+from dz_ros.drivers.serial.device import Device
+from dz_ros.drivers.serial.framing import pack, Receiver
+from dz_ros.drivers.serial.protocol import Command, decode, Info, MotorInfo, State
 from dz_ros.files.configurations import load_configuration
 
 TIME_OUT = 60.0
@@ -72,6 +75,102 @@ def fake():
     yield give
     for item in made:
         item.close()
+
+
+class Liar:
+    """The device of the package on a pseudo-terminal; the test changes what passes each way.
+
+    Attributes:
+        change: State that the device sends → the states that are sent instead.
+        hears: Command of the host → whether it reaches the device.
+        name: What it says it is.
+        shift: Added to its clock [µs].
+        measured: Motor → its values [counts].
+        faults: Fault code of each motor.
+        given: What its motors were given, in order; None = no power.
+    """
+
+    def __init__(self, motors=1):
+        self.motors, self.faults = motors, [0] * motors
+        self.measured = lambda motor: (100 + motor, 0)
+        self.change = lambda state: [state]
+        self.hears = lambda command: True
+        self.drift, self.shift, self.name = 1.0, 0, 'bench'
+        self.info = True
+        self.given = []
+        self.commands = []
+        self._master, self._slave = pty.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.port = os.ttyname(self._slave)
+        self._in, self._out = Receiver(), Receiver()
+        self._start = time.monotonic()
+        self._stop = threading.Event()
+        self.restart()
+        self.device.seq = 10 ** 6      # it has been on for a while
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def restart(self):
+        """Start anew, as after a loss of power."""
+        self.device = Device(
+            Info(0, (MotorInfo(30000, 1e-3, (1e-3, 1e-3)),) * self.motors, ''),
+            lambda: ([self.measured(motor) for motor in range(self.motors)], self.faults),
+            self.given.append)
+
+    @property
+    def actuated(self):
+        """What the first motor was given, in order; None = no power."""
+        return [None if v is None else v[0] for v in self.given]
+
+    def _serve(self):
+        while not self._stop.wait(0.001):
+            try:
+                data = os.read(self._master, 4096)
+            except BlockingIOError:
+                data = b''
+            received = b''
+            for body in self._in.feed(data):
+                frame = decode(body)
+                if isinstance(frame, Command):
+                    self.commands.append(frame)
+                if self.hears(frame):
+                    received += pack(body)
+            now = round(self.drift * 1e6 * (time.monotonic() - self._start)) + self.shift
+            for body in self._out.feed(self.device.step(received, now)):
+                frame = decode(body)
+                if isinstance(frame, State):
+                    frames = self.change(frame)
+                else:
+                    frames = [replace(frame, name=self.name)] * self.info
+                with contextlib.suppress(BlockingIOError):      # the host stands still
+                    os.write(self._master, b''.join(pack(item.body()) for item in frames))
+
+    def close(self):
+        self._stop.set()
+        self._thread.join()
+        os.close(self._master)
+        os.close(self._slave)
+
+
+@pytest.fixture
+def liars():
+    """Return the function that makes a device of the package that lies, of some motors."""
+    made = []
+
+    def give(motors=1):
+        made.append(Liar(motors))
+        return made[-1]
+
+    yield give
+    for item in made:
+        item.close()
+
+
+@pytest.fixture
+def liar(liars):
+    """A device of one motor that lies."""
+    return liars()
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ from dz_ros.drivers.emulators import Emulator, EMULATORS, Fault
 from dz_ros.drivers.serial.cable import Cable
 from dz_ros.drivers.serial.emulated_devices import EmulatedDevice
 from dz_ros.errors import ConfigurationError, DriverError
+from dz_ros.files.configurations import load_configuration
 
 KNOWN = {'unplug': '', 'corrupt': ''}
 EMULATE = ('-m', 'dz_ros', 'driver', 'emulate')
@@ -22,6 +23,8 @@ EMULATE = ('-m', 'dz_ros', 'driver', 'emulate')
     ('unplug@2', Fault('unplug', 2.0)),
     ('unplug@2.5+0.25', Fault('unplug', 2.5, 0.25)),
     ('corrupt@0+1=0.5', Fault('corrupt', 0.0, 1.0, 0.5)),
+    ('left_arm:unplug@2', Fault('unplug', 2.0, device='left_arm')),
+    ('3:corrupt@2=0.5', Fault('corrupt', 2.0, value=0.5, device='3')),
 ])
 def test_faults_are_read(text, expected):
     found = Fault.parse(text, KNOWN)
@@ -49,6 +52,31 @@ def test_mistakes_are_named(text, words):
 def test_a_fault_lasts_as_long_as_it_says():
     fault = Fault('unplug', 1.0, 0.5)
     assert [fault.active(t) for t in (0.99, 1.0, 1.49, 1.5)] == [False, True, True, False]
+
+
+def test_an_emulator_of_one_device_refuses_several():
+    class One(Emulator):
+        name = 'one'
+        open = run = close = None
+
+    axes = Configuration.from_flat({'loop.axes': ['surge', 'yaw']})
+    with pytest.raises(ConfigurationError, match='one emulates a device of one axis; choose it'):
+        One.of_axes(None, axes, 0, ())
+    with pytest.raises(ConfigurationError, match=r'--nodes = 2: one emulates one device'):
+        One.of_axes(None, Configuration.from_flat({}), 2, ())
+
+
+@pytest.mark.parametrize(('words', 'text'), [
+    (['cia402', '--fault', '2:emcy@1'], 'there is one device, no 2'),
+    (['cia402', '--nodes', '2', '--fault', '3:emcy@1'], 'the drives are 1, 2'),
+    (['cia402', 'cia402_axes', '--fault', 'wrist:emcy@1'], 'the drives are base, shoulder'),
+    (['cia402', 'cia402_axes', '--nodes', '2'], 'must be 3, that of loop.axes'),
+    (['cia402', '--nodes', '-1'], 'must be from 1 to 126')])
+def test_devices_that_are_not_there_are_one_line(words, text, capsys):
+    assert main(['driver', 'emulate', *words]) == 2
+    error = capsys.readouterr().err
+    assert text in error
+    assert error.count('\n') == 1
 
 
 @pytest.mark.parametrize('name', [name for name, found in EMULATORS.all().items()
@@ -133,19 +161,20 @@ def test_what_is_no_link_is_never_replaced(tmp_path):
 
 def test_the_plant_behind_an_emulated_device_is_the_configured_one():
     configuration = Configuration.from_flat({'plant.model': 'servo', 'plant.x0': [0.1, 0.0]})
-    device = EmulatedDevice(configuration, (1e-3, 1e-6, 1e-6), 30000)
+    device = EmulatedDevice([configuration], (1e-3, 1e-6, 1e-6), 30000)
     device.step(b'', 10_000_000)        # however long nobody commands, it stands still
-    assert device.measure() == ([100000, 0], 0)
-    device.actuate(3000)
+    assert device.measure() == ([[100000, 0]], [0])
+    device.actuate((3000,))
     for k in range(1, 201):
         device.step(b'', 10_000_000 + 1000 * k)
     twin = configuration.make_driver()
     twin.command(3.0, 0.0)
     for k in range(1, 201):
         twin.advance(1e-3 * k, 0)
-    assert device.measure()[0] == pytest.approx([value * 1e6 for value in twin.measure()], abs=2)
-    device.trip(4)
-    assert device.measure()[1] == 4
+    expected = [value * 1e6 for value in twin.measure()]
+    assert device.measure()[0][0] == pytest.approx(expected, abs=2)
+    device.trip(4, None)
+    assert device.measure()[1] == [4]
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
@@ -164,3 +193,67 @@ def test_a_program_that_ends_is_said(processes, tmp_path):
     process = processes(*EMULATE, 'serial', 'servo', '-o', 'program=/bin/true')
     assert process.wait() == 2
     assert 'has ended (exit code 0)' in process.output.splitlines()[-1]
+
+
+AXES = {'driver.name': 'serial', 'driver.port': '/dev/a', 'plant.model': 'servo',
+        'loop.axes': ['x', 'y', 'z'], 'axes.x.plant.x0': [0.1, 0.0], 'axes.y.plant.x0': [0.2, 0.0],
+        'axes.z.plant.x0': [0.3, 0.0]}
+
+
+@pytest.mark.parametrize(('keys', 'options', 'found'), [
+    ({}, {}, (0.1, 0.2, 0.3)),
+    ({}, {'motors': 2}, (0.1, 0.2)),
+    ({}, {'motors': 5}, (0.1, 0.2, 0.3, 0.1, 0.2)),
+    ({'axes.x.driver.motor': 2, 'axes.z.driver.motor': 0}, {}, (0.3, 0.2, 0.1)),
+    ({'axes.y.driver.port': '/dev/b'}, {'link': '/dev/a'}, (0.1, 0.3)),
+    ({'axes.y.driver.port': '/dev/b'}, {'link': '/dev/b'}, (0.2,)),
+    ({'driver.name': 'simulated'}, {}, (0.1, 0.2, 0.3)),
+])
+def test_each_motor_has_the_plant_of_its_axis(keys, options, found, monkeypatch):
+    monkeypatch.setattr(Cable, 'plug', lambda self: None)
+    flat = {**AXES, **keys}
+    if flat['driver.name'] == 'simulated':
+        del flat['driver.port']
+    kind = EMULATORS.load('serial')
+    emulator = kind(kind.Parameters(**options), Configuration.from_flat(flat))
+    emulator.open()
+    rows, codes = emulator._device.measure()
+    assert [row[0] * 1e-6 for row in rows] == pytest.approx(found)
+    assert codes == [0] * len(found)
+
+
+@pytest.mark.parametrize(('keys', 'options', 'message'), [
+    ({'axes.y.driver.port': '/dev/b'}, {}, "--option link = '': must be a driver.port of the "
+                                           'axes: one of /dev/a, /dev/b'),
+    ({'loop.axes': [f'a{k}' for k in range(9)], 'driver.name': 'simulated'}, {},
+     'are more than the 8 motors of a device'),
+    ({'plant.model': 'two_link_arm', 'loop.axes': ['x', 'y']}, {'motors': 3},
+     '--option motors = 3: must be 2: the plant couples as many'),
+])
+def test_axes_that_make_no_device_are_named(keys, options, message):
+    flat = {**AXES, **keys}
+    if 'loop.axes' in keys:
+        del flat['driver.port']
+        flat = {key: value for key, value in flat.items() if not key.startswith('axes.')}
+    kind = EMULATORS.load('serial')
+    with pytest.raises(ConfigurationError) as caught:
+        kind(kind.Parameters(**options), Configuration.from_flat(flat))
+    assert message in str(caught.value)
+
+
+def test_a_coupled_plant_moves_behind_the_motors_as_it_is_simulated():
+    c = load_configuration('two_link_arm')
+    device = EmulatedDevice(c.each, (1e-3, 1e-8, 1e-8), 10 ** 6)
+    twins = c.make_drivers()
+    device.step(b'', 0)
+    device.actuate((20_000, -5_000))
+    for twin, v in zip(twins, (20.0, -5.0), strict=True):
+        twin.command(v, 0.0)
+    for k in range(1, 101):
+        device.step(b'', 1000 * k)
+        for twin in twins:
+            twin.advance(1e-3 * k, k)
+    expected = [[value * 1e8 for value in twin.measure()] for twin in twins]
+    for row, wanted in zip(device.measure()[0], expected, strict=True):
+        assert row == pytest.approx(wanted, abs=2)
+    assert abs(expected[0][1]) > 1e5

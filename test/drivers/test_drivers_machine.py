@@ -3,11 +3,13 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
 
-from dz_ros.drivers.conformance.machine import lateness, MachineWatch, overlap
+from dz_ros.drivers.conformance.machine import lateness, MachineWatch, overlap, RunQueue
 
 
 def test_a_process_that_was_not_run_is_a_stall():
@@ -33,6 +35,29 @@ def test_a_watch_that_has_ended_knows_of_no_stall():
         watch.process.wait()
         assert watch.stalls() == ()
     assert lateness(()) == ''
+
+
+def test_a_thread_that_is_ready_waits_in_the_queue_and_one_that_sleeps_does_not():
+    with RunQueue() as queue:
+        if not queue.waited():
+            pytest.skip('this system does not say how long a thread waits for a core')
+        before, begin = queue.waited(), time.monotonic()
+        time.sleep(0.05)
+        assert time.monotonic() - begin - (queue.waited() - before) > 0.049
+        cores = os.sched_getaffinity(0)
+        rival = subprocess.Popen([sys.executable, '-c', 'while True: pass'])
+        try:
+            for pid in (0, rival.pid):
+                os.sched_setaffinity(pid, {min(cores)})
+            deadline = time.monotonic() + 60.0
+            before = queue.waited()
+            while queue.waited() - before < 0.05:
+                assert time.monotonic() < deadline
+        finally:
+            os.sched_setaffinity(0, cores)
+            rival.kill()
+            rival.wait()
+    assert queue.waited() == 0.0        # closed: it is not known
 
 
 def test_overlap_is_the_time_that_both_share():

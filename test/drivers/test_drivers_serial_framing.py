@@ -5,6 +5,7 @@ import zlib
 
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+import numpy as np
 import pytest
 
 from dz_ros.drivers.serial import framing
@@ -156,6 +157,22 @@ def test_every_wrong_bit_is_found():
             assert receiver.refused.counts[CHECKSUM] == 1
 
 
+def test_up_to_four_wrong_bits_of_the_longest_body_are_found():
+    # What a wrong bit does to the CRC does not depend on the data. That of one or two bits is
+    # never that of one or two others, so no one to four of them cancel.
+    size = framing.MAX_BODY + framing.CRC_SIZE
+    clean, single = zlib.crc32(bytes(size)), []
+    for place in range(8 * size):       # the bits of the CRC as well: over both it is a constant
+        body = bytearray(size)
+        body[place // 8] ^= 1 << place % 8
+        single.append(zlib.crc32(bytes(body)) ^ clean)
+    bits = np.array(single, np.uint32)
+    first, second = np.triu_indices(len(bits), 1)
+    syndromes = np.concatenate([bits, bits[first] ^ bits[second]])
+    assert np.all(syndromes)
+    assert len(np.unique(syndromes)) == len(syndromes)
+
+
 def test_a_stream_without_end_takes_no_memory():
     receiver = Receiver()
     for _ in range(1000):
@@ -172,5 +189,5 @@ def test_what_is_thrown_away_is_counted_by_reason():
     list(receiver.feed(b'\x09\x01\0'))
     list(receiver.feed(cobs_encode(b'abc') + b'\0'))
     list(receiver.feed(cobs_encode(b'abcdef') + b'\0'))
-    list(receiver.feed(b'\x01' * 80 + b'\0'))
+    list(receiver.feed(b'\x01' * (framing.MAX_LINE + 1) + b'\0'))
     assert receiver.refused.counts == dict.fromkeys((NO_CODE, SHORT, CHECKSUM, LONG), 1)

@@ -8,7 +8,15 @@ import pytest
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.serial.framing import pack
-from dz_ros.drivers.serial.protocol import Command, Hello, Info, Mode, Request, State
+from dz_ros.drivers.serial.protocol import (
+    Command,
+    Hello,
+    Info,
+    Mode,
+    MotorInfo,
+    Request,
+    State,
+)
 from dz_ros.errors import ConfigurationError, DriverError, MissingDependencyError
 
 pytest.importorskip('serial', reason="pyserial is not installed: pip install 'dz_ros[serial]'")
@@ -16,12 +24,13 @@ pytest.importorskip('serial', reason="pyserial is not installed: pip install 'dz
 COUNT = itertools.count(1)
 
 
-def polite(frame, values=(1, 2), limit=1000, scales=(1.0, 1.0), mode=Mode.DISABLED, fault=0):
-    """Answer as a device that does nothing."""
+def polite(frame, values=(1, 2), limit=1000, mode=Mode.DISABLED, fault=0, motors=1):
+    """Answer as a device that does nothing; the fault is of its last motor."""
     count = next(COUNT)
-    yield pack(Info(frame.session, len(values), limit, 1.0, scales[:len(values)], 'fake').body())
-    yield pack(State(frame.session, count, 1000 * count, getattr(frame, 'seq', 0), mode, 0, fault,
-                     values).body())
+    motor = MotorInfo(limit, 1.0, (1.0,) * len(values))
+    yield pack(Info(frame.session, (motor,) * motors, 'fake').body())
+    yield pack(State(frame.session, count, 1000 * count, getattr(frame, 'seq', 0), mode, 0,
+                     (*(0,) * (motors - 1), fault), (values,) * motors).body())
 
 
 @pytest.fixture
@@ -61,8 +70,8 @@ def test_a_port_in_use_is_said(fake, make, opening):
 
 
 def test_another_version_is_said(fake, opening):
-    answer = fake(lambda frame: [pack(b'\x02' + Hello(1, 1).body()[1:])])
-    with pytest.raises(DriverError, match='speaks version 2 of the protocol, not 1'):
+    answer = fake(lambda frame: [pack(b'\x03' + Hello(1, 1).body()[1:])])
+    with pytest.raises(DriverError, match='speaks version 3 of the protocol, not 1 or 2'):
         opening(answer.port)
 
 
@@ -140,7 +149,7 @@ def test_the_newest_command_is_the_one_that_is_sent(fake, make, until):
     driver.enable()
     for k in range(500):
         driver.command(float(k), 0.0)
-    until(lambda: there.heard[-1].v == 499)
+    until(lambda: there.heard[-1].v == (499,))
     driver.disable()
     driver.close()
     commands = [frame for frame in there.heard if isinstance(frame, Command)]

@@ -1,14 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The states of a device: the serial driver on a real port before a device that lies."""
 
-import contextlib
 from dataclasses import replace
 import itertools
-import os
-import pty
-import threading
 import time
-import tty
+from types import SimpleNamespace
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,7 +13,16 @@ import pytest
 from dz_ros.core.safety.health import Report
 from dz_ros.drivers.serial.device import Device
 from dz_ros.drivers.serial.framing import pack, Receiver
-from dz_ros.drivers.serial.protocol import Command, decode, Hello, Info, Mode, Request, State
+from dz_ros.drivers.serial.protocol import (
+    Command,
+    decode,
+    Hello,
+    Info,
+    Mode,
+    MotorInfo,
+    Request,
+    State,
+)
 from dz_ros.drivers.serial.state_monitor import StateMonitor, Wish
 from dz_ros.errors import DriverError
 
@@ -25,78 +30,6 @@ pytest.importorskip('serial', reason="pyserial is not installed: pip install 'dz
 
 V = 2.0         # what the law wants, a count each 0.001
 COUNTS = 2000
-
-
-class Liar:
-    """The device of the package on a pseudo-terminal; the test changes what passes each way.
-
-    Attributes:
-        change: State that the device sends → the states that are sent instead.
-        hears: Command of the host → whether it reaches the device.
-        name: What it says it is.
-        shift: Added to its clock [µs].
-        actuated: What its actuator was given, in order; None = no power.
-    """
-
-    def __init__(self):
-        self.change = lambda state: [state]
-        self.hears = lambda command: True
-        self.drift, self.shift, self.name = 1.0, 0, 'bench'
-        self.info = True
-        self.actuated = []
-        self.commands = []
-        self._master, self._slave = pty.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.port = os.ttyname(self._slave)
-        self._in, self._out = Receiver(), Receiver()
-        self._start = time.monotonic()
-        self._stop = threading.Event()
-        self.restart()
-        self.device.seq = 10 ** 6      # it has been on for a while
-        self._thread = threading.Thread(target=self._serve, daemon=True)
-        self._thread.start()
-
-    def restart(self):
-        """Start anew, as after a loss of power."""
-        self.device = Device(Info(0, 2, 30000, 1e-3, (1e-3, 1e-3), ''), lambda: ((100, 0), 0),
-                             self.actuated.append)
-
-    def _serve(self):
-        while not self._stop.wait(0.001):
-            try:
-                data = os.read(self._master, 4096)
-            except BlockingIOError:
-                data = b''
-            received = b''
-            for body in self._in.feed(data):
-                frame = decode(body)
-                if isinstance(frame, Command):
-                    self.commands.append(frame)
-                if self.hears(frame):
-                    received += pack(body)
-            now = round(self.drift * 1e6 * (time.monotonic() - self._start)) + self.shift
-            for body in self._out.feed(self.device.step(received, now)):
-                frame = decode(body)
-                if isinstance(frame, State):
-                    frames = self.change(frame)
-                else:
-                    frames = [replace(frame, name=self.name)] * self.info
-                with contextlib.suppress(BlockingIOError):      # the host stands still
-                    os.write(self._master, b''.join(pack(item.body()) for item in frames))
-
-    def close(self):
-        self._stop.set()
-        self._thread.join()
-        os.close(self._master)
-        os.close(self._slave)
-
-
-@pytest.fixture
-def liar():
-    made = Liar()
-    yield made
-    made.close()
 
 
 @pytest.fixture
@@ -206,10 +139,12 @@ LIES = {
                  'is in mode disabled, asked for run'),
     'a trip that nobody saw': (lambda: lambda s: [replace(s, trips=(s.trips + 1) % 256)],
                                'has tripped'),
-    'a fault without its mode': (lambda: lambda s: [replace(s, fault=9)],
+    'a fault without its mode': (lambda: lambda s: [replace(s, faults=(9,))],
                                  'reports fault 9 in mode run'),
-    'another number of values': (lambda: lambda s: [replace(s, values=(1, 2, 3))],
+    'another number of values': (lambda: lambda s: [replace(s, values=((1, 2, 3),))],
                                  'has sent nothing'),
+    'another version': (lambda: lambda s: [SimpleNamespace(body=lambda: b'\3' + s.body()[1:])],
+                        'speaks version 3 of the protocol'),
     'an earlier session': (lambda: lambda s: [replace(s, session=s.session ^ 1)],
                            'greeted by another host'),
 }
@@ -246,6 +181,15 @@ def test_a_state_that_is_repeated_is_no_measurement_long_before_the_device_is_gi
     driver.report(report)
     assert int(driver.refused['repeated states']) > 0
     assert report.level == 2
+
+
+def test_a_device_that_falls_silent_has_not_refused_the_command_on_its_way(liar, running, until):
+    driver = running(silence=3.0)
+    liar.hears = lambda frame: False
+    until(passed(liar, 3), driver, V)       # none of which any state will answer
+    liar.change = lambda state: []
+    until(driver.fault, driver, V)
+    assert driver.fault() == 'the device has sent nothing for 3 s'
 
 
 def honest(liar, name, link):
@@ -434,21 +378,23 @@ COUNTERS = st.integers(0, 2 ** 32 - 1) | st.integers(2 ** 32 - 30, 2 ** 32 - 1)
 
 
 @settings(max_examples=3 * settings.default.max_examples, deadline=None)
-@given(STEPS, COUNTERS, COUNTERS.filter(bool), COUNTERS)
-def test_an_honest_device_is_never_blamed(steps, clock, seq, count):
+@given(STEPS, COUNTERS, COUNTERS.filter(bool), COUNTERS, st.sampled_from((1, 2, 8)))
+def test_an_honest_device_is_never_blamed(steps, clock, seq, count, motors):
     """Whatever this host sends or leaves out, whatever states are lost, wherever counters wrap."""
     actuated, receiver, monitor = [], Receiver(), StateMonitor()
-    device = Device(Info(0, 1, 500, 1.0, (1.0,), ''), lambda: ((0,), 0), actuated.append)
+    none = (0,) * motors
+    device = Device(Info(0, (MotorInfo(500, 1.0, (1.0,)),) * motors, ''),
+                    lambda: ([(0,)] * motors, none), actuated.append)
     device.seq = count
     now = 0.0
-    device.step(pack(Hello(7, 200).body()), clock)
+    device.step(pack(Hello(7, 200, motors).body()), clock)
     for after, request, arrives in [(1, Request.SAFE, True), *steps]:
         now += after * 1e-3 + 3e-4
         sent = b''
         if request is not None:
-            wish = Wish(request, 5, 0, 20)
+            wish = Wish(request, (5,) * motors, none, 20)
             monitor.writing(seq, wish, now).ended = now
-            sent = pack(Command(7, seq, 5, 0, 20, request).body())
+            sent = pack(Command(7, seq, (5,) * motors, none, 20, request).body())
             seq = seq % (2 ** 32 - 1) + 1
         for body in receiver.feed(device.step(sent, clock + round(now * 1e6))):
             frame = decode(body)

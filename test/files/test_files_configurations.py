@@ -187,7 +187,7 @@ def test_written_files_are_what_ros_reads(name, tmp_path):
     path = tmp_path / 'p.yaml'
     write_parameters(configuration, path)
     text = path.read_text(encoding='utf-8')
-    assert '[]' not in text     # rcl refuses an empty array
+    assert '[]' not in text     # rcl refuses it to a node that declares all it is given
     written = yaml.safe_load(text)['/**']['ros__parameters']    # YAML 1.1, as other tools read it
     for key, value in configuration.to_flat().items():
         if configuration.axes and not parts(key)[0] and not is_machines(key):
@@ -227,6 +227,22 @@ def test_rcl_itself_reads_what_is_written(tmp_path, ros_domain):
             found = list(read[key]) if isinstance(value, list) else read[key]
             assert found == value, key
             assert type(found) is type(value), key
+
+
+def test_a_node_takes_an_empty_list_that_is_not_the_default(tmp_path, ros_domain):
+    rclpy = pytest.importorskip('rclpy', reason='needs rclpy')
+    from dz_ros.nodes.ros.parameters import configure
+    path = tmp_path / 'p.yaml'
+    write_parameters(load_configuration(None, ['loop.peers=[]']), path)
+    for words in (['--params-file', str(path)], ['-p', 'loop.peers:=[]']):
+        context = rclpy.Context()
+        rclpy.init(args=['--ros-args', *words], context=context)
+        try:
+            node = rclpy.create_node('reader', context=context)
+            assert configure(node, 'loop').loop.peers == ()
+            node.destroy_node()
+        finally:
+            rclpy.shutdown(context=context)
 
 
 WAYPOINTS = """# from the plotter
@@ -302,11 +318,11 @@ def test_waypoints_that_are_not_there(tmp_path):
                                   if not load_configuration(name).make_driver().lockstep])
 def test_a_device_whose_measurement_stands_still_is_noticed(name):
     """Wherever it stands, the reference goes further away from it than the limit."""
-    configuration = load_configuration(name)
-    limit = configuration.safety.error_limit
-    x_d = [configuration.trajectory(k * 0.05)[0] for k in range(400)]
-    assert 0.0 < limit < (max(x_d) - min(x_d)) / 2.0
-    assert abs(configuration.x0[0] - x_d[0]) < limit      # yet it can start
+    for configuration in load_configuration(name).each:
+        limit = configuration.safety.error_limit
+        x_d = [configuration.trajectory(k * 0.05)[0] for k in range(400)]
+        assert 0.0 < limit < (max(x_d) - min(x_d)) / 2.0
+        assert abs(configuration.x0[0] - x_d[0]) < limit      # yet it can start
 
 
 def test_every_driver_of_a_device_has_such_a_configuration():

@@ -128,6 +128,14 @@ def test_two_values_of_what_all_nodes_use_are_refused(tmp_path):
         flat_parameters(file)
 
 
+@pytest.mark.parametrize('text', ['.nan', '[.nan, 1.0]'])
+def test_one_value_that_is_no_number_is_not_two(tmp_path, text):
+    path = tmp_path / 'nan.yaml'
+    path.write_text(f'/**:\n  ros__parameters:\n    loop: {{rate: {text}}}\n', encoding='utf-8')
+    with pytest.raises(ConfigurationError, match=r'^loop.rate = .*nan.*must be a finite number'):
+        load_configuration(path)
+
+
 def test_sections_of_other_nodes_may_hold_anything(tmp_path):
     file = tmp_path / 'c.yaml'
     file.write_text('/camera: {ros__parameters: {loop: 3, exposure: {a: 1}}}\n'

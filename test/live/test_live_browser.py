@@ -277,7 +277,7 @@ def test_no_serious_finding_on_accessibility_of_a_running_loop(
 
 
 def test_an_axis_is_chosen_and_what_is_done_is_of_that_axis(open_page, processes, ros_domain,
-                                                             tmp_path):
+                                                            tmp_path):
     pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
     run = tmp_path / 'run'
     process = processes(*DZ, 'run', 'six_axes', '--duration', '600', '--quiet', '--live',

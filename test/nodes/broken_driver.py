@@ -51,7 +51,7 @@ class Broken(DriverNode):
     def on_command(self, message: Float64MultiArray) -> None:
         """Take a command, or more than one should."""
         seq = message.data[0]
-        if FLAW == 'bad messages' and len(message.data) == 6:
+        if FLAW == 'bad messages' and len(message.data) == 6 and seq > self.echo[0]:
             self.echo = (seq, message.data[1])
             self.fed = driver_node.time.monotonic()
         if FLAW == 'restart' and seq <= self.echo[0]:

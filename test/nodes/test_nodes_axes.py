@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes with several axes: lockstep is offline, faults name their axis and stop all."""
 
+import copy
+import math
 from pathlib import Path
 import signal
 
@@ -10,7 +12,7 @@ import pytest
 from dz_ros.core.axes import MAX_AXES
 from dz_ros.core.dataset import from_runs
 from dz_ros.core.loop.coupled import simulate_axes
-from dz_ros.core.records import Command
+from dz_ros.core.records import Command, Reference, State, Status, Terms
 from dz_ros.files.configurations import load_configuration
 from dz_ros.recording.reader import read_run
 from dz_ros.replay.audit.audit import audit
@@ -25,12 +27,15 @@ CONFIG = Path(__file__).parents[2] / 'config' / 'six_axes.yaml'
 AXES = ('base', 'shoulder', 'elbow', 'roll', 'pitch', 'yaw')
 ARGUMENTS = ('--ros-args', '--params-file', CONFIG, '-p', 'loop.duration:=0.0')
 NAMES = ('trajectory_node', 'controller_node', 'actuator_node')
+FAR = 1e6
+"""What a message that must not be taken says of each axis."""
 
 
 @pytest.mark.parametrize(('name', 'names'), [
     ('six_axes', AXES), ('two_link_arm', ('shoulder', 'elbow')),
     ('rov_planar', ('surge', 'sway', 'yaw'))])
-def test_lockstep_over_dds_is_offline_and_audited_bit_for_bit(processes, tmp_path, name, names):
+def test_lockstep_over_dds_is_offline_and_audited_bit_for_bit(processes, samples, tmp_path, name,
+                                                              names):
     out = tmp_path / 'run'
     run = processes('-m', 'dz_ros', 'run', name, '--lockstep', '--duration', '1', '--quiet',
                     '--record', out)
@@ -40,8 +45,7 @@ def test_lockstep_over_dds_is_offline_and_audited_bit_for_bit(processes, tmp_pat
     c = RunHistory.of(recorded).configuration
     offline = from_runs(simulate_axes(c), c)
     for topic, channel in offline.channels.items():
-        rows = recorded.channels[topic].values      # references may be sent again at the start
-        found = rows[np.unique(rows[:, 0], return_index=True)[1]][:len(channel)]
+        found = samples(recorded.channels[topic]).values[:len(channel)]
         assert np.array_equal(found, channel.values), topic
     runs = each_axis(recorded)
     for axis, of_axis in runs.items():
@@ -62,24 +66,32 @@ def start(processes, operator):
 
 def stop(nodes):
     """Interrupt the nodes, the actuator's first; see that each ends in order."""
-    for name in reversed(NAMES):
-        nodes[name].signal(signal.SIGINT)
-        assert nodes[name].wait() == 0, nodes[name].output
-        assert 'Traceback' not in nodes[name].output
+    for node in reversed(nodes.values()):
+        node.signal(signal.SIGINT)
+        assert node.wait() == 0, node.output
+        assert 'Traceback' not in node.output
+
+
+def held(truth):
+    """Return the command that each axis' actuator holds; 0 where it holds none."""
+    rows = np.reshape(truth.data, (len(AXES), -1))
+    return rows[:, 2] - rows[:, 3]
 
 
 def test_a_driver_that_dies_is_named_and_stops_every_axis(start, operator):
-    nodes = start('-p', 'driver.name:=mock', '-p', 'axes.roll.driver.script:=["300- fault burnt"]')
+    nodes = start(*operator.patient, '-p', 'driver.name:=mock', '-p',
+                  'axes.roll.driver.script:=["300- fault burnt"]')
     operator.wait_for_mode(actuator_node='fault')
     assert operator.modes()['actuator_node'][1].startswith('axis roll: burnt')
     seen = len(operator.heard['state'])
     operator.wait(lambda: len(operator.heard['state']) > seen + 20)
+    operator.wait(lambda: not any(held(operator.heard['truth'][-1])))
     assert operator.life('/actuator_node') == 'active'
     stop(nodes)
 
 
 def test_a_limit_of_one_axis_is_a_fault_of_all_until_the_reset(start, operator):
-    nodes = start()
+    nodes = start(*operator.patient)
     assert not operator.set('/controller_node', controller__lambda=2.0).successful
     assert operator.set('/controller_node', axes__yaw__controller__lambda=8.0).successful
     assert operator.set('/controller_node', axes__pitch__safety__error_limit=1e-9).successful
@@ -89,8 +101,155 @@ def test_a_limit_of_one_axis_is_a_fault_of_all_until_the_reset(start, operator):
     operator.wait(lambda: not any(operator.heard['command'][-1].data[2::width]))
     assert len(operator.heard['command'][-1].data) == width * len(AXES)
     assert operator.set('/controller_node', axes__pitch__safety__error_limit=0.0).successful
-    assert operator.call('/controller_node/reset').success
+    operator.wait(lambda: operator.call('/controller_node/reset').success)
     operator.wait_for_mode(controller_node='running')
+    stop(nodes)
+
+
+def renamed(message, names):
+    """Return the message with other names of axes before the same rows."""
+    message.layout.dim[0].label = ','.join(names)
+    return message
+
+
+def changed(message, row, label, value):
+    """Return the message with one number changed."""
+    labels = message.layout.dim[1].label.split(',')
+    message.data[row * len(labels) + labels.index(label)] = value
+    return message
+
+
+def without_last_row(message, announced):
+    """Return the message without its last row, whose axis is announced or not."""
+    dimensions, width = message.layout.dim, message.layout.dim[1].size
+    message.data = message.data[:-width]
+    if not announced:
+        renamed(message, AXES[:-1])
+        dimensions[0].size -= 1
+        dimensions[0].stride -= width
+    return message
+
+
+def of_one_axis(message):
+    """Return the message as a loop of one axis sends it."""
+    message.layout.dim = message.layout.dim[1:]
+    message.data = message.data[:message.layout.dim[0].size]
+    return message
+
+
+FOREIGN = (
+    ('a row missing', lambda m: without_last_row(m, announced=True)),
+    ('axes in another order', lambda m: renamed(m, AXES[::-1])),
+    ('another number of axes', lambda m: without_last_row(m, announced=False)),
+    ('another number of axes', of_one_axis),
+    ('other axes', lambda m: renamed(m, (*AXES[:-1], 'jaw'))),
+    ('other axes', lambda m: renamed(m, (*AXES[:-1], 'y\nw'))),
+    ('an axis named twice', lambda m: renamed(m, (*AXES[:-1], 'base'))),
+    ('rows of different samples', lambda m: changed(m, 3, 'seq', m.data[0] + 1.0)),
+    ('rows of different samples', lambda m: changed(m, 3, 'stamp', m.data[1] + 0.005)),
+    *((f'not finite (axis {AXES[row]})', lambda m, row=row, value=value, last=last: changed(
+        m, row, m.layout.dim[1].label.split(',')[last], value))
+      for row, value, last in ((5, math.nan, 2), (0, math.inf, 2), (3, -math.inf, -1))),
+)
+"""Cause by which it is counted (docs/axes.md) → what makes such a message of a good one."""
+
+
+@pytest.fixture
+def reported(operator):
+    """Node → label → text of its newest diagnostics."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    found = {}
+
+    def keep(array):
+        for status in array.status:
+            found[status.name] = {item.key: item.value for item in status.values}
+
+    operator.node.create_subscription(DiagnosticArray, '/diagnostics', keep, 10)
+    return found
+
+
+@pytest.mark.parametrize(('topic', 'labels', 'node'), [
+    ('command', Command.labels(), 'actuator_node'), ('state', State.labels(2), 'controller_node'),
+    ('reference', Reference.labels(2), 'controller_node')])
+def test_what_other_machines_send_is_counted_by_cause_and_moves_no_axis(
+        start, operator, reported, topic, labels, node):
+    # The loop's readers keep the newest message alone: of one that is sent among good ones the
+    # next good one may take the place, so each is sent until it is counted.
+    nodes = start(*operator.patient)
+    good = []
+
+    def keep(message):
+        if max(map(abs, message.data)) < FAR:       # not one of this test's own
+            good.append(message)
+
+    operator.node.create_subscription(operator.array, topic, keep, 100)
+    publisher = operator.node.create_publisher(operator.array, topic, 10)
+    operator.wait(lambda: good and publisher.get_subscription_count() and reported.get(f'/{node}'))
+
+    def count(cause):
+        return int(reported[f'/{node}'].get(f'ignored {topic}: {cause}', 0))
+
+    for cause, make in FOREIGN:
+        before = count(cause)
+
+        def counted(cause=cause, make=make, before=before):
+            message = copy.deepcopy(good[-1])
+            for row in range(0, len(message.data), len(labels)):
+                message.data[row] += 1.0        # the next seq, which would be taken
+                message.data[row + 2] = FAR
+            publisher.publish(make(message))
+            return count(cause) > before
+
+        operator.wait(counted)
+        nodes[node].wait_for_line(f'{topic}: {cause} (')
+    operator.wait_for_mode(actuator_node='running', controller_node='running')
+    assert 'fault' not in {event.get('mode') for event in operator.events}
+    for message in operator.heard['truth']:
+        assert all(abs(number) < 1e3 for number in message.data[2::5])
+    stop(nodes)
+
+
+def test_a_stream_of_foreign_messages_is_silence_for_every_axis(start, operator):
+    nodes = start()
+    last = operator.heard['command'][-1]
+    nodes['controller_node'].signal(signal.SIGKILL)
+    nodes.pop('controller_node').wait()
+    publisher = operator.node.create_publisher(operator.array, 'command', 10)
+
+    def given_up():
+        publisher.publish(renamed(copy.deepcopy(last), AXES[::-1]))
+        return operator.modes().get('actuator_node') == ('fault', 'no command')
+
+    operator.wait(given_up)
+    operator.wait(lambda: not any(held(operator.heard['truth'][-1])))
+    assert 'command: axes in another order (' in nodes['actuator_node'].output
+    stop(nodes)
+
+
+def test_an_axis_at_its_limit_alone_is_held_back_and_its_adaptation_alone_frozen(
+        start, operator, reported):
+    nodes = start(*operator.patient, '-p', 'axes.yaw.safety.command_limit:=0.2')
+    labels, width = operator.heard['terms'][-1].layout.dim[1].label.split(','), len(
+        Command.labels())
+    status = labels.index('status')
+    assert status == Terms.labels(()).index('status')
+
+    def saturated():
+        """Return for each axis in how many samples it was held back."""
+        rows = np.array([item.data[status::len(labels)] for item in operator.heard['terms']])
+        return np.count_nonzero(rows.astype(int) & Status.SATURATED, axis=0)
+
+    yaw = AXES.index('yaw')
+    operator.wait(lambda: saturated()[yaw] > 20)
+    assert not saturated()[:yaw].any()
+    commands = np.array([item.data[2::width] for item in operator.heard['command']])
+    assert np.abs(commands[:, yaw]).max() == 0.2
+    assert np.abs(commands[:, :yaw]).max(axis=0).min() > 0.2
+    operator.wait(lambda: int(reported['/controller_node'].get(
+        'yaw: frozen: saturated [samples]', 0)) > 20)
+    for axis in AXES[:-1]:
+        assert reported['/controller_node'].get(f'{axis}: frozen: saturated [samples]', '0') == '0'
+    operator.wait_for_mode(actuator_node='running', controller_node='running')
     stop(nodes)
 
 

@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop through a servo drive on a CAN bus: simulated drive, host and law as processes."""
+"""The loop through servo drives on a CAN bus: simulated drives, host and law as processes.
 
+Over 300 lines: one drive and three of one loop share the bus and what is awaited on it.
+"""
+
+from collections import Counter
 import signal
 
 import numpy as np
@@ -11,6 +15,7 @@ from dz_ros.drivers.cia402.emulator import FAULTS
 from dz_ros.drivers.cia402.states import DriveState, state_of
 from dz_ros.files.configurations import load_configuration
 from dz_ros.recording.reader import read_run
+from dz_ros.runs.axes import each_axis
 
 pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 can = pytest.importorskip('can', reason='python-can is not installed')
@@ -45,12 +50,12 @@ class Bus:
         if heard is None:
             pytest.skip('multicast frames do not come back on this machine')
 
-    def ask(self, fault, value=0, duration=0.0):
-        """Have a fault begin: three expedited SDO downloads."""
+    def ask(self, fault, value=0, duration=0.0, node=1):
+        """Have a fault of a node begin: three expedited SDO downloads."""
         for index, number, size in ((0x2001, value, 2), (0x2002, round(duration * 1000.0), 2),
                                     (0x2000, list(FAULTS).index(fault) + 1, 1)):
             data = bytes((0x23 | (4 - size) << 2,)) + index.to_bytes(2, 'little') + b'\0'
-            self.bus.send(can.Message(arbitration_id=0x601, is_extended_id=False,
+            self.bus.send(can.Message(arbitration_id=0x600 + node, is_extended_id=False,
                                       data=data + number.to_bytes(4, 'little')))
 
     def nmt(self, command):
@@ -65,8 +70,8 @@ class Bus:
             message = self.bus.recv(60.0)
             assert message is not None, 'nothing on the bus any more'
 
-    def states(self, cycles):
-        """Return the states the drive says in so many cycles from now on."""
+    def states(self, cycles, node=1):
+        """Return the states a drive reports in so many cycles from now on."""
         while self.bus.recv(0) is not None:
             pass
         found, syncs = set(), 0
@@ -74,7 +79,7 @@ class Bus:
             message = self.bus.recv(60.0)
             assert message is not None, 'no SYNC any more'
             syncs += message.arbitration_id == 0x80
-            if message.arbitration_id == 0x181:
+            if message.arbitration_id == 0x180 + node:
                 found.add(state_of(int.from_bytes(message.data[:2], 'little')))
         return found
 
@@ -148,16 +153,30 @@ MASTER = ((0x02, 'stopped'), (0x80, 'pre-operational'), (0x81, 'boot-up'))
 
 
 @pytest.fixture
-def tracking(processes, drive, operator, settings):
-    """Start a loop; return a function that resets it after a fault and waits until it tracks."""
-    processes(*DZ, 'run', 'cia402', *settings, '--set', 'loop.duration=0.0', '--quiet')
+def tracking(drive, follow):
+    """Start a loop of one drive; return what `follow` returns."""
+    return follow('cia402')
+
+
+@pytest.fixture
+def follow(processes, operator, settings):
+    """Return ``follow(config, axes)``: starts a loop and waits until it tracks.
+
+    That returns a function that resets it after a fault and waits until it tracks again.
+    """
+    axes = 1
+
+    def near(data):
+        """Whether a sample was the law's, and near its layer, in every axis."""
+        width = len(data) // axes
+        return all(abs(data[place + OUTSIDE]) < NEAR
+                   and not int(data[place + STATUS]) & Status.INACTIVE
+                   for place in range(0, axes * width, width))
 
     def tracks():
-        """Whether most of the last hundred samples were the law's, and near its layer."""
-        last = [message.data for message in operator.heard['terms'][-100:]]
-        near = [abs(data[OUTSIDE]) < NEAR and not int(data[STATUS]) & Status.INACTIVE
-                for data in last]
-        return len(last) == 100 and sum(near) > 70
+        """Whether most of the last hundred samples were so."""
+        last = operator.heard['terms'][-100:]
+        return len(last) == 100 and sum(near(message.data) for message in last) > 70
 
     def running():
         """Whether both ends run; what is in fault, again perhaps, is reset, the drive first."""
@@ -173,9 +192,15 @@ def tracking(processes, drive, operator, settings):
         operator.heard['terms'].clear()
         operator.wait(lambda: running() and tracks())   # what comes late may be a fault again
 
-    operator.wait_for_mode(actuator_node='running', controller_node='running')
-    operator.wait(tracks)
-    return back
+    def start(config, number=1):
+        nonlocal axes
+        axes = number
+        processes(*DZ, 'run', config, *settings, '--set', 'loop.duration=0.0', '--quiet')
+        operator.wait_for_mode(actuator_node='running', controller_node='running')
+        operator.wait(tracks)
+        return back
+
+    return start
 
 
 @pytest.mark.parametrize('cases', [CASES[:5], CASES[5:]], ids=['devices', 'contradictions'])
@@ -242,3 +267,138 @@ def test_the_emulated_drive_says_what_can_be_asked_of_it(processes):
     assert wrong.wait() == 2
     assert 'must be cia402' in wrong.output
     assert 'Traceback' not in wrong.output
+
+
+# Three drives on one bus, in one loop.
+
+AXES = {'base': 1, 'shoulder': 2, 'elbow': 3}
+"""Axes of config/cia402_axes.yaml, and node ids."""
+
+
+@pytest.fixture
+def drives(processes, settings):
+    """Start the simulated drives of all axes in one process."""
+    started = processes(*DZ, 'driver', 'emulate', 'cia402', 'cia402_axes', '--nodes', '3',
+                        *settings)
+    started.wait_for_line('elbow: simulated drive, node 3 on udp_multicast')
+    return started
+
+
+class Count:
+    """Counts the frames on a bus by identifier until it is stopped, and times the SYNCs."""
+
+    def __init__(self, bus):
+        self.frames = Counter()
+        self.syncs = []
+        self._notifier = can.Notifier(bus.bus, [self._take])
+
+    def _take(self, message):
+        self.frames[message.arbitration_id] += 1
+        if message.arbitration_id == 0x80:
+            self.syncs.append(message.timestamp)
+
+    def stop(self):
+        self._notifier.stop()
+
+
+def test_three_drives_track_in_one_loop_with_one_sync(processes, drives, bus, settings,
+                                                      tmp_path):
+    path, count = tmp_path / 'run', Count(bus)
+    loop = processes(*DZ, 'run', 'cia402_axes', *settings, '--set', 'loop.duration=6.0',
+                     '--record', path, '--quiet')
+    assert loop.wait(180.0) == 0, loop.output
+    count.stop()
+    data = read_run(path)
+    assert data.axes == tuple(AXES)
+    machine = load_configuration('cia402_axes')
+    for name, run in each_axis(data).items():
+        t, x = (run.channels['state'][key] for key in ('stamp', 'x0'))
+        assert len(t) > 600
+        desired = np.array([machine.axis(name).trajectory(stamp)[0] for stamp in t])
+        late = t > 3.0
+        assert np.ptp(desired[late]) > 0.5
+        assert np.median(np.abs(x - desired)[late]) < 0.02, name
+    # One SYNC a period at most from one thread, however busy the machine; three would be thrice
+    # as many. Each sample was measured at a SYNC not older than three periods, by every drive.
+    measured = len(data.channels['state']['seq'])
+    syncs = len(count.syncs)
+    assert syncs <= 1.1 * (count.syncs[-1] - count.syncs[0]) / 0.005 + 20
+    assert syncs >= measured / 3
+    for node in AXES.values():
+        for answer in (0x180, 0x280):
+            assert measured / 3 <= count.frames[answer + node] <= syncs
+    assert drives.interrupt() == 0
+
+
+AXIS_CASES = (
+    # axis, fault, value, duration [s], reason, states of the drive meanwhile
+    ('shoulder', 'emcy', 0x3210, 0.0, 'axis shoulder: EMCY 3210h (Voltage), error register 01h',
+     {DriveState.REACTING, DriveState.FAULT}),
+    ('elbow', 'heartbeat', 0, 30.0, 'axis elbow: no heartbeat for 2 s', {DriveState.QUICK_STOP}),
+    ('base', 'stopped', 0, 0.0, f'axis base: {LEFT}stopped', set()))
+
+
+def test_a_fault_of_one_drive_stops_all_and_names_its_axis(drives, follow, bus, operator):
+    back = follow('cia402_axes', len(AXES))
+    for axis, fault, value, duration, reason, states in AXIS_CASES:
+        bus.ask(fault, value, duration, AXES[axis])
+        operator.wait_for_mode(actuator_node='fault')
+        assert operator.modes()['actuator_node'][1].startswith(reason), fault
+        for name, node in AXES.items():
+            operator.wait(lambda node=node: DriveState.ENABLED not in bus.states(5, node))
+            wanted = states if name == axis else {DriveState.QUICK_STOP}
+            assert bus.states(50, node) <= wanted, (fault, name)
+        back()
+
+
+def test_a_killed_drive_of_several_is_named_and_a_new_one_is_driven(processes, bus, follow,
+                                                                    operator, settings):
+    def start(axis):
+        started = processes(*DZ, 'driver', 'emulate', 'cia402', 'cia402_axes', '--axis', axis,
+                            *settings)
+        started.wait_for_line(f'simulated drive, node {AXES[axis]} on udp_multicast')
+        return started
+
+    started = {axis: start(axis) for axis in AXES}
+    back = follow('cia402_axes', len(AXES))
+    started['elbow'].signal(signal.SIGKILL)
+    started['elbow'].wait()
+    operator.wait_for_mode(actuator_node='fault')
+    assert operator.modes()['actuator_node'][1].startswith('axis elbow: ')
+    for axis in ('base', 'shoulder'):
+        operator.wait(lambda axis=axis: DriveState.ENABLED not in bus.states(5, AXES[axis]))
+        assert bus.states(50, AXES[axis]) == {DriveState.QUICK_STOP}
+    refused = operator.call('actuator_node/reset')
+    assert not refused.success
+    assert 'axis elbow: ' in refused.message
+    assert 'no answer within 1 s: is the drive on' in refused.message
+    for axis in ('base', 'shoulder'):           # a reset that is refused moves no other axis
+        assert DriveState.ENABLED not in bus.states(50, AXES[axis])
+    start('elbow')
+    operator.wait(lambda: operator.call('actuator_node/reset').success)
+    back()
+
+
+def test_one_axis_is_identified_while_the_other_drives_stay_disabled(processes, drives, settings,
+                                                                     tmp_path):
+    out = tmp_path / 'found'
+    found = processes(*DZ, 'driver', 'identify', 'cia402_axes', '--axis', 'shoulder', *settings,
+                      '--travel', '0.6', '--speed', '1.0', '--effort', '3.0', '--repeats', '4',
+                      '--ramp', '2', '--pause', '0.3', '--yes', '--out', out)
+    assert found.wait(400.0) in (0, 1), found.output
+    assert (out / 'identified.yaml').is_file(), found.output
+    assert drives.interrupt() == 0
+    lines = drives.output.splitlines()
+    assert 'shoulder: state: operation enabled' in lines
+    for axis in ('base', 'elbow'):
+        assert [line for line in lines if line.startswith(f'{axis}: ')][1:] == [
+            f'{axis}: state: switch on disabled', f'{axis}: no commands']
+
+
+def test_drives_with_one_node_id_are_refused_before_anything_starts(processes, settings):
+    loop = processes(*DZ, 'run', 'cia402_axes', *settings, '--set',
+                     'axes.elbow.driver.node_id=2')
+    assert loop.wait() == 2
+    assert ('axes.elbow.driver.node_id = 2: must differ from that of axis shoulder'
+            in loop.output)
+    assert 'Traceback' not in loop.output

@@ -360,7 +360,7 @@ def test_both_joints_track_behind_a_controller_of_another_order_with_a_joint_of_
         config=two, options=['joints=joint2,gripper,joint1', 'namespace=/left'])
     width = len(State.labels(2))
     for place, axis in enumerate(load_configuration(two).each):
-        watcher.tracked(axis.trajectory, 0.01, x=place * width + 2)
+        watcher.tracked(axis.trajectory, 0.01, row=place)
     assert all(len(data) == 2 * width for data in watcher.states)
     assert {held[1] for _, held, *_ in robot.interface} == {0.0}
     for node in nodes.values():

@@ -15,6 +15,7 @@ from dz_ros.core.laws import LAWS
 from dz_ros.core.loop.offline import simulate
 from dz_ros.files.configurations import load_configuration
 from dz_ros.recording.reader import read_run
+from dz_ros.replay.audit.audit import audit
 
 pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
@@ -69,26 +70,57 @@ def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
      'controller.error_band=0.001', 'controller.regressors_at=reference'),
     ('zhang_feng1997',), ('first_order',), ('servo',), ('pendulum',), ('valve_actuator',),
     ('step',)], ids=lambda words: ' '.join(words))
-def test_lockstep_equals_the_offline_loop_bit_for_bit(processes, tmp_path, overrides):
+def test_lockstep_equals_the_offline_loop_bit_for_bit(processes, samples, tmp_path, overrides):
     name, *keys = overrides
     words = [word for key in keys for word in ('--set', key)]
     run = processes(*DZ, 'run', name, '--lockstep', '--duration', '2', '--quiet', '--record',
                     tmp_path / 'run', *words)
     assert run.wait() == 0, run.output
     data = read_run(tmp_path / 'run')
-    offline = simulate(load_configuration(name, [*keys, 'loop.duration=2']))
-    state, command = data.channels['state'], data.channels['command']
-    order = offline.x.shape[1]
-    assert np.array_equal(state.values[:, 2:2 + order], offline.x_measured)
-    assert np.array_equal(command['v'], offline.v)
-    assert np.array_equal(data.channels['truth'].values[:, 2:], offline.truth)
+    same_as_offline(data, samples, simulate(load_configuration(name, [*keys, 'loop.duration=2'])))
+
+
+def same_as_offline(data, samples, offline):
+    """See that a run in lockstep has every sample of the offline loop, bit for bit."""
+    found = {name: samples(channel) for name, channel in data.channels.items()}
+    count, order = offline.x.shape
+    assert len(found['state']) == len(found['command']) == len(found['terms']) == count
+    assert np.array_equal(found['state'].values[:, 2:2 + order], offline.x_measured)
+    assert np.array_equal(found['command']['v'], offline.v)
+    assert np.array_equal(found['truth'].values[:, 2:], offline.truth)
     for signal_name in offline.configuration.law.signal_names:
-        assert np.array_equal(data.channels['terms'][signal_name], offline.column(signal_name))
-    assert np.array_equal(data.channels['reference'].values[:len(state), 2:], offline.x_d)
+        assert np.array_equal(found['terms'][signal_name], offline.column(signal_name))
+    assert np.array_equal(found['reference'].values[:count, 2:], offline.x_d)
     assert data.info['mode'] == 'lockstep'
 
 
-def test_lockstep_meets_the_reference_run(processes, tmp_path):
+@pytest.mark.parametrize('frozen', ['controller_node', 'trajectory_node'])
+def test_what_is_sent_again_in_lockstep_changes_nothing(processes, children, operator, samples,
+                                                        tmp_path, frozen):
+    run = processes(*DZ, 'run', 'zhang_feng1997', '--lockstep', '--duration', '0', '--record',
+                    tmp_path / 'run')
+    heard = operator.heard['state']
+    operator.wait(lambda: len(heard) > 300)
+    node = children(run, 4)[frozen]
+    os.kill(node, signal.SIGSTOP)
+    operator.wait(lambda: heard[-1].data[0] == heard[-3].data[0])   # the first time and two more
+    os.kill(node, signal.SIGCONT)
+    reached = int(heard[-1].data[0])
+    operator.wait(lambda: heard[-1].data[0] > reached + 300)
+    assert run.interrupt() == 0, run.output
+    data = read_run(tmp_path / 'run')
+    found = {name: samples(data.channels[name]) for name in ('state', 'command')}
+    assert len(data.channels['state']) > len(found['state']) > reached + 300
+    wanted = simulate(load_configuration('zhang_feng1997', [
+        f'loop.duration={(reached + 300) * 0.005}']))
+    count = len(wanted.v)
+    assert np.array_equal(found['state'].values[:count, 2:4], wanted.x)
+    assert np.array_equal(found['command']['v'][:count], wanted.v)
+    result = audit(data)
+    assert result.passed, result
+
+
+def test_lockstep_meets_the_reference_run(processes, samples, tmp_path):
     run = processes(*DZ, 'run', 'wang2004', '--lockstep', '--set', 'plant.substeps=1',
                     '--set', 'loop.duration=20', '--record', tmp_path / 'run')
     assert run.wait(120) == 0, run.output
@@ -96,10 +128,11 @@ def test_lockstep_meets_the_reference_run(processes, tmp_path):
     expected = np.loadtxt(Path(__file__).parents[1] / 'data' / 'wang2004_lambda1_rk4.csv',
                           delimiter=',', skiprows=2)
     assert len(expected) == 4001
-    assert np.abs(data.channels['state'].values[:, 2:4] - expected[:, 2:4]).max() <= 1e-10
-    assert np.abs(data.channels['command']['v'] - expected[:, 4]).max() <= 1e-8
-    estimates = np.column_stack([data.channels['terms'][name]
-                                 for name in ('theta1', 'theta2', 'phi')])
+    state, command, terms = (samples(data.channels[name])
+                             for name in ('state', 'command', 'terms'))
+    assert np.abs(state.values[:, 2:4] - expected[:, 2:4]).max() <= 1e-10
+    assert np.abs(command['v'] - expected[:, 4]).max() <= 1e-8
+    estimates = np.column_stack([terms[name] for name in ('theta1', 'theta2', 'phi')])
     assert np.abs(estimates - expected[:, 5:8]).max() <= 1e-10
 
 

@@ -6,9 +6,14 @@ import pytest
 pytest.importorskip('rclpy', reason='needs rclpy')
 
 from dz_ros.core.configuration import Configuration  # noqa: E402
+from dz_ros.core.dataset import from_run  # noqa: E402
+from dz_ros.core.design.rules import check  # noqa: E402
+from dz_ros.core.loop.offline import simulate  # noqa: E402
 from dz_ros.errors import ConfigurationError  # noqa: E402
 from dz_ros.files.configurations import load_configuration, shipped_configurations  # noqa: E402
 from dz_ros.nodes.parts.start_checks import DesignLog, log, refuse_bad_design  # noqa: E402
+from dz_ros.report.guarantee import guarantee  # noqa: E402
+from dz_ros.report.view import View  # noqa: E402
 
 
 class Listener:
@@ -43,7 +48,8 @@ def test_the_start_has_one_line_on_a_sound_design():
     log(node, refuse_bad_design(Configuration.from_flat({'plant.noise': [1e-3, 1e-2]})))
     assert node.told == [
         'design rules, assumptions: holds: (A1), (A2), (A3), (A4), input gain, reference; stated: '
-        'state, structure; details: dz check']
+        'state, structure; k* = 2.5 covers the dead-zone (rho/m_min = 1.029) and a disturbance of '
+        'up to 1.25; details: dz check']
 
 
 def test_an_assumption_that_is_not_met_has_its_own_line():
@@ -80,6 +86,30 @@ def test_gains_set_while_the_loop_runs_wait_for_no_simulation(monkeypatch):
 @pytest.mark.parametrize('name', shipped_configurations())
 def test_shipped_configurations_start(name):
     refuse_bad_design(load_configuration(name))
+
+
+@pytest.mark.parametrize('name', [*shipped_configurations(), *(
+    {'controller.law': law} for law in ('adaptive', 'exact_inverse', 'extended', 'pid', 'robust')),
+    {'controller.k_star': 1.5}])
+def test_check_start_and_report_agree_on_what_k_star_covers(name):
+    whole = (load_configuration(name) if isinstance(name, str) else Configuration.from_flat(name))
+    for axis, c in whole.axes or (('', whole),):
+        found = [item for item in check(c) if item.rule == '(18)']
+        of_axis = [text for _, text in refuse_bad_design(c)]
+        run = from_run(simulate(c.replace(**{'loop.duration': 0.2})))
+        covered = guarantee(View.of(run)).covered
+        if c.law.design is None:
+            assert not found
+            assert not covered
+            continue
+        words = found[0].words.partition('; along the reference')[0]
+        assert len(found) == 1
+        assert covered.partition('; this run had')[0].rstrip('.') == words, axis
+        assert sum(words in text for text in of_axis) == 1, of_axis
+        gain, known = found[0].numbers, c.controller_settings
+        room = (gain['k'] - gain['least']) * known.b_bounds[0] * known.m_bounds[0]
+        if gain['k'] > 0.0:
+            assert f'a disturbance of up to {room:.4g}' in words
 
 
 def test_a_warning_is_logged_with_what_to_change():

@@ -3,6 +3,7 @@
 
 import json
 import os
+import re
 import signal
 
 import pytest
@@ -53,3 +54,29 @@ def test_a_node_that_was_killed_fails_the_run(processes, children, ros_domain, t
     assert loop.wait() == 1, loop.output
     verdict = next(line for line in loop.output.splitlines() if line.startswith('verdict: '))
     assert verdict.startswith('verdict: FAILED: trajectory_node failed (killed by SIGKILL)')
+
+
+def test_samples_that_the_recorder_lost_fail_the_run(processes, children, ros_domain, tmp_path):
+    patient = [word for key, value in {
+        'loop.rate': 500, 'safety.state_hold': 500, 'safety.command_hold': 250,
+        'safety.echo_limit': 500, 'safety.fault_after': 5000}.items()
+        for word in ('--set', f'{key}={value}')]
+    loop = processes(*DZ, 'run', 'wang2004', *patient, '--duration', '600', '--record',
+                     tmp_path / 'run')
+    recorder = children(loop, 4)['recorder_node']
+    loop.wait_for_line(' s   error ')
+
+    def time():
+        return float(re.findall(r'^t +([\d.]+) s', loop.output, re.MULTILINE)[-1])
+
+    begin, line = time(), 1
+    os.kill(recorder, signal.SIGSTOP)
+    while time() < begin + 10.0:    # 5000 samples; publishers keep 1000
+        line += 1
+        loop.wait_for_line(' s   error ', nth=line)
+    os.kill(recorder, signal.SIGCONT)
+    loop.wait_for_line(' s   error ', nth=line + 2)
+    assert loop.interrupt() == 1, loop.output
+    verdict = next(item for item in loop.output.splitlines() if item.startswith('verdict: '))
+    assert verdict.startswith('verdict: FAILED: samples lost: ')
+    assert re.search(r'\d+ of state', verdict)

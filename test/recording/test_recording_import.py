@@ -196,6 +196,14 @@ def test_numbers_beyond_the_largest_are_no_numbers():
     assert any(note.startswith('v is no number in') for note in done.notes)
 
 
+def test_columns_of_another_time_are_named():
+    t = np.arange(50) * PERIOD
+    columns = {'x': Column(np.sin(t), t), 'v': Column(t, t + 1e9)}
+    with pytest.raises(RecordingError, match=r'v has no number at the times of x0: .* 1000000000'):
+        import_run(columns, {'x0': parse_source('x', None), 'v': parse_source('v', None)}, axis(),
+                   False, 0)
+
+
 def test_a_column_without_numbers_is_named_and_one_with_some_is_kept():
     t, x, v = motion()
     with pytest.raises(RecordingError, match='x1 is no number in any row: leave it out of --map'):

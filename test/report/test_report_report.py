@@ -289,7 +289,8 @@ def test_the_counterpart_differs_in_the_dead_zone_alone(simulated):
 
 @pytest.mark.parametrize(('overrides', 'broken', 'beyond'), [
     ({}, '', 'Sampling'),
-    ({'controller.k_star': 1.0}, '(18): k* = 1 is smaller than ρ/m_min = 1.029', ''),
+    ({'controller.k_star': 1.0}, '(18): k* = 1 does not cover the dead-zone: rho/m_min = 1.029',
+     ''),
     ({'plant.dead_zone.b_r': 0.9}, '(A4): violated: b_r in [0.9, 0.9] but stated', ''),
     ({'plant.dead_zone.m_l': 1.1}, '(A2): the slopes differ', ''),
     ({'plant.dead_zone.m_l': 1.000001}, '', 'Sampling'),
@@ -321,11 +322,15 @@ def test_chatter_inside_the_layer_is_said(simulated, changes, chatters):
 
 def test_the_disturbance_is_held_against_what_k_star_leaves(simulated):
     # |δ| = 0.5 a3 |x sin 3t|; k* = 2.5 leaves (2.5 − 0.875/0.85) 0.85 = 1.25
-    small = guarantee(View.of(simulated({'plant.a3': 0.5}))).beyond[-1]
-    assert 'room for 1.25, which covers it' in small
-    large = guarantee(View.of(simulated({'plant.a3': 2.0}))).beyond[-1]
-    assert 'does not cover' in large
-    assert 'disturbance' not in ' '.join(guarantee(View.of(simulated({'plant.a3': 0.0}))).beyond)
+    small = guarantee(View.of(simulated({'plant.a3': 0.5})))
+    assert 'a disturbance of up to 1.25; this run had 0.6' in small.covered
+    assert 'more than k* covers' not in small.covered
+    assert 'does not model' in small.beyond[-1]
+    large = guarantee(View.of(simulated({'plant.a3': 2.0})))
+    assert large.covered.endswith('of it, more than k* covers.')
+    none = guarantee(View.of(simulated({'plant.a3': 0.0})))
+    assert 'disturbance' not in ' '.join(none.beyond)
+    assert none.covered.endswith('this run had 0 of it.')
 
 
 def test_a_law_without_layer_or_theorem_is_promised_nothing(simulated):

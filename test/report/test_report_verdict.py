@@ -10,6 +10,7 @@ import pytest
 from dz_ros.core.dataset import Channel
 from dz_ros.core.records import Status
 from dz_ros.report.report import compose
+from dz_ros.report.sections import ages
 from dz_ros.report.verdict import judge
 from dz_ros.report.view import View
 
@@ -94,3 +95,20 @@ def test_some_samples_without_the_law_are_left_out(run):
     window = (2.0, 4.0)
     before = View.of(run, window=(2.0, 499 * 0.005)).metrics
     assert View.of(some, window=window).metrics.s_over_epsilon_max == before.s_over_epsilon_max
+
+
+@pytest.mark.parametrize(('duration', 'words'), [
+    (4.0, 'planned end; recording complete'), (0.0, 'planned end; recording complete'),
+    (30.0, 'ended early, in order: 4 of 30 s; recording complete')])
+def test_an_end_before_the_last_sample_is_named(run, over_topics, duration, words):
+    made = with_events(over_topics(run), (4.0, {'node': '/plant_node', 'event': 'finished'}))
+    made = replace(made, configuration={**run.configuration, 'loop.duration': duration})
+    found = judge(View.of(made))
+    assert found.failures == ()
+    assert found.facts[0] == words
+
+
+def test_ages_of_commands_are_listed_where_they_are_few():
+    assert ages({0: 198, 1: 1}) == '1 sample in 198 cases, 2 samples in 1 case'
+    assert ages({0: 198, **dict.fromkeys(range(4, 201), 1)}) == (
+        '1 sample in 198 cases, 5 samples in 1 case, more than 5 samples in 196, at most 201')

@@ -30,7 +30,7 @@ from dz_ros.studies.arena_page import (
     REFERENCE,
     write_arena,
 )
-from dz_ros.studies.arena_pictures import overview, unbeaten
+from dz_ros.studies.arena_pictures import overview, scatter, unbeaten
 from dz_ros.studies.outcome import COLUMNS, row_of, run_row
 from dz_ros.studies.scenarios import base_configuration, entrants, IDEAL, scenarios, yardstick
 
@@ -192,6 +192,18 @@ def test_without_the_recommended_law_the_page_gives_no_table_and_says_why(arena)
 def test_laws_are_named_where_no_other_has_less_of_both():
     points = {'a': (1.0, 5.0), 'b': (2.0, 2.0), 'c': (5.0, 1.0), 'd': (3.0, 3.0), 'e': (2.0, 6.0)}
     assert unbeaten(points) == {'a', 'b', 'c'}
+
+
+def test_every_law_of_a_subset_is_named_and_no_name_covers_another(arena):
+    figure = scatter(arena).figure
+    figure.canvas.draw()
+    for ax in figure.axes:
+        if not ax.get_visible():
+            continue
+        boxes = [item.get_window_extent() for item in ax.texts]
+        assert {item.get_text() for item in ax.texts} == set(arena.plan.entrants)
+        assert not [1 for place, box in enumerate(boxes) for other in boxes[:place]
+                    if box.overlaps(other)]
 
 
 def test_the_overview_shows_every_law_in_every_scenario(arena):

@@ -35,6 +35,16 @@ def test_one_number_is_found(offline, name, label):
     assert '0.125' in said
 
 
+def test_a_message_that_came_again_is_the_same_sample(offline):
+    state = offline.channels['state']
+    rows = np.r_[0:43, 42, 42, 43:len(state)]
+    again = RunData({**offline.channels, 'state': Channel(
+        state.labels, state.values[rows], state.log_time[rows], state.publish_time[rows])})
+    assert difference(again, offline) == ''
+    said = difference(changed(again, 'state', 'x0', 43, 0.125), offline)
+    assert said.startswith('state.x0 differs from sample 42 on: ')
+
+
 def test_what_is_missing_is_found(offline):
     rest = {name: channel for name, channel in offline.channels.items() if name != 'terms'}
     assert difference(RunData(rest), offline) == 'terms was not recorded'

@@ -76,22 +76,6 @@ def test_results_carry_their_place():
         (place, place) for place in range(5)]
 
 
-@pytest.fixture
-def cluster(processes):
-    """Start a real scheduler and two workers as processes; return address and workers."""
-    pytest.importorskip('distributed', reason='dask.distributed is not installed: no cluster')
-    scheduler = processes('-m', 'distributed.cli.dask_scheduler', '--host', '127.0.0.1', '--port',
-                          '0', '--no-dashboard')
-    line = scheduler.wait_for_line('Scheduler at:')
-    address = line.rpartition(' ')[2].strip()
-    workers = [processes('-m', 'distributed.cli.dask_worker', address, '--nthreads', '1',
-                         '--no-nanny', '--no-dashboard', '--name', f'worker{i}')
-               for i in range(2)]
-    for worker in workers:
-        worker.wait_for_line('Registered to')
-    return address, workers
-
-
 @pytest.mark.slow
 def test_a_killed_worker_loses_no_result(cluster, tmp_path, monkeypatch):
     address, workers = cluster
@@ -121,7 +105,7 @@ def test_few_tasks_are_in_flight_on_a_cluster(cluster):
 
 def test_no_scheduler_is_one_line():
     pytest.importorskip('distributed', reason='dask.distributed is not installed: no cluster')
-    code = ('import dz_ros.studies.pool as pool, sys; pool.PATIENCE = 1\n'
+    code = ('import dz_ros.studies.pool as pool, sys; pool.SCHEDULER_TIMEOUT = 1\n'
             'from dz_ros.errors import ConfigurationError\n'
             'try: list(pool.execute([(abs, (1,))], cluster="tcp://127.0.0.1:9"))\n'
             'except ConfigurationError as error: sys.exit("no scheduler" not in str(error))\n'

@@ -4,6 +4,7 @@
 from dataclasses import replace
 import json
 import math
+from pathlib import Path
 import re
 
 import pytest
@@ -167,3 +168,17 @@ def test_verb_prints_both_tables(tmp_path, capsys):
     assert '| nominal |' in capsys.readouterr().out
     assert json.loads((tmp_path / 'x.jsonl').read_text().splitlines()[0])['law'] == 'pd'
     assert main([*words, '--budget', '0']) == 2
+
+
+def test_the_readme_says_what_the_table_says():
+    root = Path(__file__).parents[2]
+    said = summary(list(read(root / 'benchmarks' / 'retuned.jsonl').values()))
+    assert said in (root / 'docs' / 'arena.md').read_text()
+    readme = ' '.join((root / 'README.md').read_text().split())
+    best, count = map(int, re.search(r'smallest error in (\d+) of (\d+) scenarios', said).groups())
+    better = int(re.search(r'another law is better in (\d+)', said)[1])
+    times = sorted(map(float, re.findall(r'([\d.]+) times smaller', said)))
+    assert f'for all {count} scenarios' in readme
+    assert f'best in {best}; another law is better in {better}' in readme
+    assert math.floor(10 * times[0]) / 10 == float(re.search(r'by ([\d.]+) to', readme)[1])
+    assert round(times[-1], 1) == float(re.search(r'by [\d.]+ to ([\d.]+) times', readme)[1])

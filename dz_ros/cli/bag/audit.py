@@ -13,11 +13,11 @@ from collections.abc import Iterator
 import json
 from pathlib import Path
 
-from dz_ros.cli.options import add_recording
+from dz_ros.cli.options import add_recording, read_recording
 from dz_ros.cli.output import aligned, print_lines
+from dz_ros.cli.progress import stage
 from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import load_configuration
-from dz_ros.recording.reader import read_run
 from dz_ros.replay.audit.audit import audit
 from dz_ros.replay.audit.result import AuditResult, FieldResult
 from dz_ros.runs.axes import each_axis
@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
                                  'changes the configuration given by --config, which is missing')
     axes = configuration.axis_names if configuration is not None else ()
     results = {}
-    runs = each_axis(read_run(arguments.run, arguments.namespace))
+    runs = each_axis(read_recording(arguments.run, arguments.namespace))
     if arguments.axis is not None and arguments.axis not in runs:
         raise ConfigurationError('--axis', arguments.axis,
                                  'the run has one axis, without a name' if '' in runs
@@ -64,9 +64,11 @@ def run(arguments: argparse.Namespace) -> int:
                                      f', the run of {", ".join(runs) or "one axis"}')
     for name, run in runs.items():
         if arguments.axis in (None, name):
-            results[name if arguments.axis is None else ''] = audit(
-                run, configuration.axis(name) if configuration is not None and name in axes
-                else configuration, [item for other, item in runs.items() if other != name])
+            with stage('recomputing samples' + (f' of axis {name}' if name else '')) as step:
+                results[name if arguments.axis is None else ''] = audit(
+                    run, configuration.axis(name) if configuration is not None and name in axes
+                    else configuration, [item for other, item in runs.items() if other != name],
+                    step)
     if arguments.json:
         found = {name: result.to_dict() for name, result in results.items()}
         print(json.dumps(found.get('', {'axes': found}), indent=2, allow_nan=False))

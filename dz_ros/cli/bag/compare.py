@@ -13,11 +13,11 @@ from pathlib import Path
 import sys
 
 from dz_ros.cli.bag.recover import beside
-from dz_ros.cli.options import add_recording, read_one, window
+from dz_ros.cli.options import add_recording, read_one, read_recording, window
 from dz_ros.cli.output import aligned, note_problems, note_run, print_lines
+from dz_ros.cli.progress import stage
 from dz_ros.core.dataset import RunData
 from dz_ros.errors import ConfigurationError
-from dz_ros.recording.reader import read_run
 from dz_ros.report.compare import compare, Comparison
 from dz_ros.runs.axes import each_axis
 
@@ -40,20 +40,22 @@ def run(arguments: argparse.Namespace) -> int:
     """
     runs: dict[str, RunData] = {}
     if len(arguments.runs) == 1 and arguments.axis is None:
-        runs = each_axis(read_run(arguments.runs[0], arguments.namespace))
+        runs = each_axis(read_recording(arguments.runs[0], arguments.namespace))
     else:
         for name, path in zip(names(arguments.runs), arguments.runs, strict=True):
             runs[name] = read_one(arguments, path)
     if len(runs) < 2:
         raise ConfigurationError('RUN', [str(item) for item in arguments.runs],
                                  'must be at least two to compare, or one of several axes')
-    comparison = compare(runs, window=window(arguments), pulse=arguments.pulse)
+    with stage('computing the metrics'):
+        comparison = compare(runs, window=window(arguments), pulse=arguments.pulse)
     page = None
     if arguments.out is not None or not arguments.json:
         from dz_ros.report.compare import write_comparison
 
         out = arguments.out or beside(arguments.runs[0], 'comparison')
-        page = write_comparison(comparison, out, title=' · '.join(runs))
+        with stage('drawing pictures'):
+            page = write_comparison(comparison, out, title=' · '.join(runs))
     if arguments.json:
         print(json.dumps(comparison.to_dict(), indent=2, allow_nan=False))
     else:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from dz_ros.cli.options import read_configuration
 from dz_ros.cli.output import print_lines
+from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
 from dz_ros.errors import RecordingError, RunExistsError, RunNotFoundError
 
@@ -64,12 +65,15 @@ def run(arguments: argparse.Namespace) -> int:
     names = table_names(path) if table else None
     sources = {signal: parse_source(text, names) for signal, text in texts.items()}
     wanted = list(dict.fromkeys(source.column for source in sources.values()))
-    found = read_table(path, wanted) if table else read_bag(open_source(path), wanted)
+    with stage(f'reading {path}'):
+        found = read_table(path, wanted) if table else read_bag(open_source(path), wanted)
     if not any(len(column.values) for column in found.chosen.values()):
         raise RecordingError(f'{path}: there is no row in it')
-    done = import_run(found.chosen, sources, c, arguments.resample,
-                      path.stat().st_mtime_ns)
-    save_run(done.run, out)
+    with stage('converting'):
+        done = import_run(found.chosen, sources, c, arguments.resample,
+                          path.stat().st_mtime_ns)
+    with stage(f'writing {out}'):
+        save_run(done.run, out)
     state = done.run.channels['state']
     print_lines([f'{len(state)} samples, {state["stamp"][-1]:.4g} s, plant {c.plant.name}',
                  *(f'  {signal} [{_unit(signal, c)}] = {text}' for signal, text in texts.items()),

@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 
 from dz_ros.cli.output import aligned, print_lines
+from dz_ros.cli.progress import stage
 from dz_ros.core.text import printable
 from dz_ros.recording.reader import run_info
 from dz_ros.recording.summary import TopicSummary
@@ -26,7 +27,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print it."""
-    info = run_info(arguments.run)
+    with stage(f'reading {arguments.run}'):
+        info = run_info(arguments.run)
     print_lines(f'{info.path}: {info.storage}, {info.size / 1e6:.3g} MB, '
                 f'{"cut off" if info.cut else "complete"}')
     if info.start_ns is not None:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from dz_ros.cli.bag.info import topic_lines
 from dz_ros.cli.output import print_lines
+from dz_ros.cli.progress import stage
 from dz_ros.recording.recover import recover
 
 
@@ -24,7 +25,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Recover; print what could be read and what could not."""
     source: Path = arguments.run
     destination = arguments.destination or beside(source, 'recovered')
-    summary = recover(source, destination)
+    with stage(f'reading {source}, writing {destination}'):
+        summary = recover(source, destination)
     print_lines(f'{summary.directory}: {summary.messages} messages, {summary.duration:.3f} s')
     print_lines(topic_lines(summary.topics))
     for note in summary.notes:

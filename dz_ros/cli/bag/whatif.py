@@ -14,6 +14,7 @@ from dz_ros.cli.bag.recover import beside
 from dz_ros.cli.offline import simulate_offline
 from dz_ros.cli.options import add_recording, read_one, refuse_existing, window
 from dz_ros.cli.output import note_run, print_lines
+from dz_ros.cli.progress import stage
 from dz_ros.core.plants.coupled import CoupledPlant
 from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import flat_parameters, load_configuration
@@ -59,7 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
     if given is not None and arguments.axis is not None:
         given = load_configuration(arguments.config, (), arguments.namespace or '').axis(
             arguments.axis).to_flat()
-    planned = plan(data, overrides, given=given, fit=arguments.fit)
+    with stage('fitting the plant' if arguments.fit else 'reading what ran'):
+        planned = plan(data, overrides, given=given, fit=arguments.fit)
     if planned.fit is not None:
         print_lines(fit_lines(planned.fit))
     begin = time.perf_counter()
@@ -71,11 +73,13 @@ def run(arguments: argparse.Namespace) -> int:
         from dz_ros.recording.save import save_run, state_configuration
 
         memory = planned.memory or done.configuration.law.initial_memory()
-        save_run(state_configuration(made, memory), arguments.record)
-    comparison = compare({name: data, 'what if': made}, window=window(arguments),
-                         pulse=arguments.pulse)
-    page = write_comparison(comparison, arguments.out or beside(arguments.run, 'whatif'),
-                            title=f'{name}, and what if {_words(overrides) or "fitted"}')
+        with stage(f'writing {arguments.record}'):
+            save_run(state_configuration(made, memory), arguments.record)
+    with stage('comparing, drawing pictures'):
+        comparison = compare({name: data, 'what if': made}, window=window(arguments),
+                             pulse=arguments.pulse)
+        page = write_comparison(comparison, arguments.out or beside(arguments.run, 'whatif'),
+                                title=f'{name}, and what if {_words(overrides) or "fitted"}')
     print_lines(side_by_side(comparison))
     print_lines(f'note: {text}' for text in planned.notes)
     if isinstance(planned.configuration.plant, CoupledPlant) or planned.configuration.law.coupled:

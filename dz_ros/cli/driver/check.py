@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``dz driver check NAME|--topics``: verify a driver's contract; exit code 1 where it fails.
+"""``dz driver check NAME|CONFIG|--topics``: verify a driver's contract; exit code 1 if it fails.
 
-NAME is checked in this process (``drivers/conformance/driver_checks.py``), then as a node: hosted
-by actuator_node, observed and commanded through topics, killed and started again. ``--topics``
-checks a running node of any language.
+NAME, or the drivers that CONFIG names, is checked in this process
+(``drivers/conformance/driver_checks.py``), then as a node: hosted by actuator_node, observed and
+commanded through topics, killed and started again. Of several axes each is checked so, the drivers
+of the others not open, and in the end all of them together in this process. ``--topics`` checks a
+running node of any language.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from importlib.util import find_spec
 import json
 import math
@@ -24,14 +26,21 @@ from dz_ros.cli.operator import add_namespace
 from dz_ros.cli.output import print_json
 from dz_ros.cli.processes import check_rclpy, ParameterFiles, start_node, wait_or_kill
 from dz_ros.core.configuration import Configuration
-from dz_ros.drivers.conformance.driver_checks import check_contract
+from dz_ros.core.driven import DRIVERS
+from dz_ros.drivers.conformance.driver_checks import check_contract, check_together
 from dz_ros.drivers.conformance.result import Result
+from dz_ros.drivers.contract import Driver
 from dz_ros.drivers.hosted import HostedDriver
 from dz_ros.errors import ConfigurationError, DriverError
-from dz_ros.files.configurations import format_parameters, load_configuration
+from dz_ros.files.configurations import (
+    format_parameters,
+    load_configuration,
+    shipped_configurations,
+)
 from dz_ros.runtime.signals import Stopping
 
 FAILED = 1
+CONFIG = 'robust_eso'
 AMPLITUDE = 0.1
 """Largest command sent unless the driver's limit is smaller [command unit]."""
 SHARE = 0.02
@@ -42,11 +51,13 @@ MARKS = {True: 'ok', False: 'FAILED', None: 'unseen'}
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument('name', nargs='?', metavar='NAME',
-                        help='driver, see dz driver list, or package.module:Class')
+                        help='driver, see dz driver list, or package.module:Class; or the '
+                        'configuration that names it')
     parser.add_argument('--topics', action='store_true',
                         help='check the node that publishes state and takes command now')
-    parser.add_argument('--config', default='robust_eso', metavar='CONFIG',
-                        help='configuration: plant, rate, safety (default: %(default)s)')
+    parser.add_argument('--config', metavar='CONFIG',
+                        help='configuration: plant, rate, safety, and without NAME the driver '
+                        f'(default: {CONFIG})')
     parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE',
                         dest='overrides',
                         help='change one key of it, e.g. driver.port=/dev/ttyUSB0')
@@ -62,38 +73,108 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_namespace(parser)
 
 
+@dataclass(frozen=True)
+class Subject:
+    """One axis to check.
+
+    Attributes:
+        axis: Its name; '' = the only one, without a name.
+        configuration: Of this axis alone.
+        driver: Made together with those of the other axes; None = made by itself.
+        limit: Largest command [command unit].
+        amplitude: Largest command sent but for --saturate [command unit].
+    """
+
+    axis: str
+    configuration: Configuration
+    driver: Driver | None
+    limit: float
+    amplitude: float
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Check; print a line for each check; return 0, or 1 where one failed."""
-    if (arguments.name is None) != arguments.topics:
-        raise ConfigurationError('NAME', arguments.name, 'give either a driver or --topics')
-    chosen = [] if arguments.name is None else [f'driver.name={json.dumps(arguments.name)}']
-    configuration = load_configuration(
-        arguments.config, [*arguments.overrides, *chosen], arguments.namespace).replace(
-        **{'loop.timing': 'realtime', 'loop.duration': 0.0, 'loop.peers': ['plant_node']})
-    if arguments.axis is not None:
-        configuration = configuration.axis(arguments.axis)
-    if configuration.axes:
-        raise ConfigurationError('loop.axes', list(configuration.axis_names),
-                                 'one axis is checked; choose it with --axis')
-    limit = math.inf if arguments.topics else HostedDriver(configuration).limit
-    if configuration.safety.command_limit:
-        limit = min(limit, configuration.safety.command_limit)
-    amplitude = arguments.amplitude
-    if amplitude is None:
-        amplitude = min(AMPLITUDE, SHARE * limit)
-    if not (math.isfinite(amplitude) and 0.0 <= amplitude <= limit):
-        raise ConfigurationError('--amplitude', amplitude, f'must be from 0 to {limit:g}')
+    machine = _configuration(arguments)
+    names = machine.axis_names or ('',)
+    drivers = (None,) if arguments.topics or not machine.axes else machine.make_drivers()
+    subjects = [_subject(arguments, *item)
+                for item in zip(names, machine.each, drivers, strict=True)]
     if arguments.topics:
         check_rclpy()
-    _ask(arguments, configuration, amplitude)
+    _ask(arguments, machine, max(item.amplitude for item in subjects))
     failed = False
-    for result in _results(arguments, configuration, amplitude, limit):
+    for result in _all(arguments, machine, subjects):
         failed |= result.passed is False
         if arguments.json:
             print_json(asdict(result), None, flush=True)
         else:
             print(line(result), flush=True)
     return FAILED if failed else 0
+
+
+def _configuration(arguments: argparse.Namespace) -> Configuration:
+    """Return the configuration of all axes to check, or of the one of --axis.
+
+    Raises:
+        ConfigurationError: It cannot be used, or it is not clear what to check.
+    """
+    name, config = arguments.name, arguments.config
+    if name is not None and config is None and _is_configuration(name):
+        name, config = None, name
+    if name is not None if arguments.topics else name is None and config is None:
+        raise ConfigurationError('NAME', arguments.name, 'give a driver, a configuration or '
+                                 '--topics')
+    chosen = [] if name is None else [f'driver.name={json.dumps(name)}']
+    machine = load_configuration(
+        config or CONFIG, [*arguments.overrides, *chosen], arguments.namespace).replace(
+        **{'loop.timing': 'realtime', 'loop.duration': 0.0, 'loop.peers': ['plant_node']})
+    if arguments.axis is not None:
+        machine = machine.axis(arguments.axis)
+    if machine.axes and arguments.topics:
+        raise ConfigurationError('loop.axes', list(machine.axis_names), 'a node of one axis is '
+                                 'checked through its topics: choose it with --axis')
+    return machine
+
+
+def _is_configuration(name: str) -> bool:
+    """Return whether NAME is a configuration and no driver."""
+    if ':' in name or name in (*DRIVERS.builtin, *DRIVERS.installed()):
+        return False
+    return name in shipped_configurations() or Path(name).is_file()
+
+
+def _subject(arguments: argparse.Namespace, axis: str, c: Configuration,
+             driver: Driver | None) -> Subject:
+    """Return what is checked of an axis.
+
+    Raises:
+        ConfigurationError: --amplitude is more than it may have.
+    """
+    limit = math.inf if arguments.topics else HostedDriver(c, driver).limit
+    if c.safety.command_limit:
+        limit = min(limit, c.safety.command_limit)
+    amplitude = arguments.amplitude
+    if amplitude is None:
+        amplitude = min(AMPLITUDE, SHARE * limit)
+    if not (math.isfinite(amplitude) and 0.0 <= amplitude <= limit):
+        raise ConfigurationError('--amplitude', amplitude, f'must be from 0 to {limit:g}'
+                                 + (f', the limit of axis {axis}' if axis else ''))
+    return Subject(axis, c, driver, limit, amplitude)
+
+
+def _all(arguments: argparse.Namespace, machine: Configuration,
+         subjects: list[Subject]) -> Iterator[Result]:
+    """Yield the results of each axis, then of all together, named by axis."""
+    for item in subjects:
+        prefix = f'{item.axis}: ' if item.axis else ''
+        for result in _results(arguments, item):
+            yield replace(result, name=prefix + result.name)
+    if len(subjects) > 1:
+        stopping = Stopping()
+        with stop_on_estop(stopping, machine.driver_class.lockstep, arguments.namespace):
+            for result in check_together(machine, [item.amplitude for item in subjects],
+                                         lambda: stopping.reason):
+                yield replace(result, name=f'all axes: {result.name}')
 
 
 def line(result: Result) -> str:
@@ -116,10 +197,10 @@ def _ask(arguments: argparse.Namespace, c: Configuration, amplitude: float) -> N
         raise ConfigurationError('--yes', False, 'nothing was sent')
 
 
-def _results(arguments: argparse.Namespace, c: Configuration, amplitude: float,
-             limit: float) -> Iterator[Result]:
-    """Yield every result: in this process, then through topics."""
-    own: dict[str, Any] = {'amplitude': amplitude,
+def _results(arguments: argparse.Namespace, subject: Subject) -> Iterator[Result]:
+    """Yield every result of an axis: in this process, then through topics."""
+    c, limit = subject.configuration, subject.limit
+    own: dict[str, Any] = {'amplitude': subject.amplitude,
                            'limit': limit if arguments.saturate and math.isfinite(limit) else 0.0}
     words = ['--ros-args', '-r', f'__ns:=/{arguments.namespace.strip("/")}']
     with ParameterFiles() as files:
@@ -130,8 +211,8 @@ def _results(arguments: argparse.Namespace, c: Configuration, amplitude: float,
         opened = True
         stopping = Stopping()
         with stop_on_estop(stopping, c.driver_class.lockstep, arguments.namespace):
-            for result in check_contract(c, amplitude, arguments.saturate,
-                                         lambda: stopping.reason):
+            for result in check_contract(c, subject.amplitude, arguments.saturate,
+                                         lambda: stopping.reason, subject.driver):
                 opened &= result.name != 'opens' or result.passed is not False
                 yield result
         if find_spec('rclpy') is None:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """``dz driver commission``: from a new device to a running loop, step by step.
 
-Every step prints what it found, is recorded, and can be repeated with ``--from STEP``. A step that
-fails ends it: exit code 1, or 2 where something that was given is wrong.
+Every step prints what it found, is recorded, and can be repeated with ``--from STEP``, or in the
+page. At the terminal a step that fails ends it: exit code 1, or 2 where something that was given
+is wrong. With ``--live`` the steps are started and confirmed in the page (`commission_page`).
 """
 
 from __future__ import annotations
@@ -10,20 +11,23 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from datetime import datetime, timezone
-import math
 from pathlib import Path
 import sys
 from typing import Any
 
 from dz_ros.cli.driver.commission_loop import check_step, loop_step, propose_step, report_step
 from dz_ros.cli.driver.commission_moves import identify_step, sensor_step, sign_step
-from dz_ros.cli.driver.commission_state import Outcome, State, StepFailedError
-from dz_ros.cli.driver.move_limits import (
-    add_limits,
-    build_limits,
-    given_limits,
-    needed_limits,
+from dz_ros.cli.driver.commission_page import PageOperator
+from dz_ros.cli.driver.commission_state import (
+    Answers,
+    answers_of,
+    Operator,
+    Outcome,
+    SHARE,
+    State,
+    StepFailedError,
 )
+from dz_ros.cli.driver.move_limits import add_limits, given_limits, needed_limits
 from dz_ros.cli.options import (
     add_address,
     add_configuration,
@@ -32,22 +36,21 @@ from dz_ros.cli.options import (
     refuse_existing,
 )
 from dz_ros.cli.output import print_lines
+from dz_ros.cli.processes import check_rclpy
 from dz_ros.core.configuration import Configuration
 from dz_ros.errors import ConfigurationError, DzRosError
-from dz_ros.files.configurations import write_parameters
-from dz_ros.identification.commissioning import Attempt, DONE, FAILED, StepLog, STEPS
-from dz_ros.identification.experiment.plan import Limits, Plan
+from dz_ros.files.configurations import format_parameters, write_parameters
+from dz_ros.identification.commissioning import Attempt, DONE, FAILED, LOG, StepLog, STEPS
 from dz_ros.runs.metrics import jsonable
 
 STOPPED = 1
-SHARE = 0.3
-"""The first motion, as a share of the travel, where no other is asked for."""
 QUESTIONS = {'travel': 'How far may it move from where it stands',
              'effort': 'How large may |v| be', 'speed': 'How fast may it move'}
 LEAST_DURATION = 5.0
 """A shorter first loop shows nothing [s]."""
 GIVEN = 'configuration.yaml'
-"""File of the configuration that was given, for ``--from``."""
+"""File of the configuration that was given, for ``--from``; of one given later NN- before it, with
+the number of the next attempt."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,7 +72,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help='length of the first loop [s] (default: %(default)g)')
     parser.add_argument('--yes', action='store_true', help='do not ask before it moves')
     parser.add_argument('--live', action='store_true',
-                        help='show the first loop in the browser, with its e-stop')
+                        help='start and confirm the steps in the browser, with an e-stop; with '
+                             '--yes they go on by themselves and are shown there')
     add_address(parser)
 
 
@@ -82,6 +86,12 @@ def run(arguments: argparse.Namespace) -> int:
     """
     out: Path = arguments.out
     check_port(arguments)
+    guided = arguments.live and not arguments.yes
+    if guided and arguments.until:
+        raise ConfigurationError('--until', arguments.until, 'is not for --live without --yes: '
+                                 'the steps are started in the page')
+    if arguments.live:
+        check_rclpy()
     if arguments.step is None:
         refuse_existing(out)
     elif not out.is_dir():
@@ -94,24 +104,80 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.config is None:
         if arguments.step is None:
             raise ConfigurationError('CONFIG', '', 'must name the configuration of the device')
-        arguments.config = str(out / GIVEN)
+        arguments.config = str(_given(out))
     c = read_configuration(arguments)
     log = StepLog(out)
-    answers = _answers(arguments, c, log)       # before anything is written
-    if arguments.step is None:
-        out.mkdir(parents=True)
-        write_parameters(c, out / GIVEN)
-    page = (arguments.host, arguments.port) if arguments.live else None
-    state = State(c, log, *answers, arguments.namespace, arguments.yes, arguments.loop_duration,
-                  page)
+    answers = _answers(arguments, c, log, guided)       # before anything is written
+    out.mkdir(parents=True, exist_ok=True)
+    _keep(c, log)
+    if not arguments.live:
+        return _through(State(c, log, answers, arguments.namespace, arguments.loop_duration,
+                              Operator(arguments.yes)), arguments, first, last)
+    with PageOperator(arguments, c, log) as operator:
+        state = State(c, log, answers, arguments.namespace, arguments.loop_duration, operator)
+        if not guided:
+            return _through(state, arguments, first, last)
+        earlier = {} if arguments.step is None else _answered(log)
+        return _guided(state, operator, {**earlier, **given_limits(arguments)})
+
+
+def _given(out: Path) -> Path:
+    """Return the configuration that was given last."""
+    return max(out.glob(f'[0-9]*-{GIVEN}'), default=out / GIVEN,
+               key=lambda path: int(path.name.partition('-')[0])
+               if path.name.partition('-')[0].isdecimal() else -1)
+
+
+def _keep(c: Configuration, log: StepLog) -> None:
+    """Write the configuration given, beside those given before, where it is another."""
+    newest = _given(log.folder)
+    text = format_parameters(c)
+    if not newest.exists():
+        write_parameters(c, log.folder / GIVEN)
+    elif newest.read_text(encoding='utf-8') != text:
+        number = len(log.attempts) + 1
+        while (path := log.folder / f'{number:02d}-{GIVEN}').exists():
+            number += 1
+        write_parameters(c, path)
+
+
+def _through(state: State, arguments: argparse.Namespace, first: int, last: int) -> int:
+    """Go from one step to another; return 0, or 1 where one failed."""
     if first and (given_limits(arguments) or arguments.amplitude is not None):
         _attempt('limits', state)
     for step in STEPS[first:last + 1]:
         if not _attempt(step, state):
-            print_lines(f'stopped at step {step}; once it is mended: --from {step} --out {out}')
+            print_lines(f'stopped at step {step}; once it is mended: --from {step} --out '
+                        f'{state.log.folder}')
             return STOPPED
-    print_lines(f'log of the steps: {out / "commissioning.jsonl"}')
+    print_lines(f'log of the steps: {state.log.folder / LOG}')
     return 0
+
+
+def _guided(state: State, operator: PageOperator, given: Mapping[str, Any]) -> int:
+    """Make the steps that the page asks for, until it is to end; return 0 where all are done.
+
+    Args:
+        state: What the steps share.
+        operator: The page.
+        given: Limits and plan as given at the terminal, or answered before.
+    """
+    unit = state.c.make_driver().state_units[0]
+    operator.offer({**needed_limits(state.c), 'amplitude': unit}, given)
+    while (request := operator.next_request()) is not None:
+        step, values = request
+        try:
+            if step == 'limits':
+                plan = {name: value for name, value in given.items() if name != 'amplitude'}
+                state.answers = answers_of({**plan, **values}, state.c)
+            _attempt(step, state)
+        except DzRosError as error:
+            print_lines(f'dz: error: {step}: {error}', sys.stderr)
+            operator.failed(f'{step}: {error}')
+    print_lines(f'log of the steps: {state.log.folder / LOG}')
+    overview = state.log.overview()
+    return 0 if all(item['outcome'] == DONE and not item['stale'] for item in overview) else (
+        STOPPED)
 
 
 _DO: Mapping[str, Any] = {
@@ -125,10 +191,12 @@ def _attempt(step: str, state: State) -> bool:
     begun = datetime.now(timezone.utc).isoformat(timespec='milliseconds')
     number, state.name = len(state.log.attempts) + 1, state.log.name(step)
     print_lines(f'--- {STEPS.index(step) + 1}/{len(STEPS)} {step}')
+    state.operator.begun(step)
 
     def note(outcome: str, words: str, result: Mapping[str, Any]) -> None:
         folder = state.name if (state.log.folder / state.name).exists() else ''
         state.log.add(Attempt(number, step, begun, outcome, words, folder, jsonable(dict(result))))
+        state.operator.ended()
 
     try:
         found: Outcome = _DO[step](state)
@@ -144,15 +212,20 @@ def _attempt(step: str, state: State) -> bool:
     return True
 
 
-def _answers(arguments: argparse.Namespace, c: Configuration,
-             log: StepLog) -> tuple[Limits, Plan, float]:
-    """Return limits, plan and amplitude: as given, as answered before, or asked now.
+def _answered(log: StepLog) -> dict[str, Any]:
+    """Return the limits as answered before."""
+    earlier = log.newest('limits')
+    return dict(earlier.result) if earlier is not None else {}
+
+
+def _answers(arguments: argparse.Namespace, c: Configuration, log: StepLog,
+             guided: bool) -> Answers | None:
+    """Return the limits as given, as answered before, or asked now; None = the page asks.
 
     Raises:
         ConfigurationError: One is missing or not allowed.
     """
-    earlier = log.newest('limits') if arguments.step not in (None, 'limits') else None
-    given: dict[str, Any] = dict(earlier.result) if earlier is not None else {}
+    given = _answered(log) if arguments.step not in (None, 'limits') else {}
     given.update(given_limits(arguments))
     if arguments.amplitude is not None:
         given['amplitude'] = arguments.amplitude
@@ -160,15 +233,11 @@ def _answers(arguments: argparse.Namespace, c: Configuration,
         raise ConfigurationError('--loop-duration', arguments.loop_duration,
                                  f'must be >= {LEAST_DURATION:g}')
     for name, unit in needed_limits(c).items():
+        if name not in given and guided:
+            return None
         if name not in given and sys.stdin.isatty():
             given[name] = _asked(name, QUESTIONS[name], unit)
-    limits, plan = build_limits(given, c)
-    amplitude = given.get('amplitude', SHARE * limits.travel)
-    if not (isinstance(amplitude, (int, float)) and math.isfinite(amplitude)
-            and 0.0 < amplitude <= limits.travel):
-        raise ConfigurationError('--amplitude', amplitude, 'must be > 0 and at most the travel, '
-                                 f'{limits.travel:g}')
-    return limits, plan, float(amplitude)
+    return answers_of(given, c)
 
 
 def _asked(name: str, question: str, unit: str) -> float:

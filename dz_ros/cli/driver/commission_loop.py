@@ -12,9 +12,10 @@ import numpy as np
 
 from dz_ros.cli.check import format_findings, stability_limit
 from dz_ros.cli.driver.commission_state import Outcome, State, StepFailedError
-from dz_ros.cli.driver.identify_moves import ask_to_move
 from dz_ros.cli.driver.identify_output import proposal_lines
+from dz_ros.cli.options import read_recording
 from dz_ros.cli.output import print_lines
+from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.finding import ERROR, WARNING, worst
 from dz_ros.core.design.rules import check
@@ -46,24 +47,24 @@ def propose_step(state: State) -> Outcome:
     Raises:
         StepFailedError: No gains keep the design rules.
     """
-    from dz_ros.recording.reader import read_run
-
     if state.identified is None:
-        run = read_run(state.of('identify') / 'run')
+        run = read_recording(state.of('identify') / 'run')
         try:
-            samples, found = identify_log(run, state.c)
+            with stage('finding the dead-zone'):
+                samples, found = identify_log(run, state.c)
+                state.identified = found, refine_identified(found, samples, state.c)[0]
         except RecordingError as error:
             raise StepFailedError(str(error)) from error
-        state.identified = found, refine_identified(found, samples, state.c)[0]
     found, fitted = state.identified
     try:
-        proposal, notes = propose(first_motion(state), found, fitted)
+        with stage('proposing gains'):
+            proposal, notes = propose(first_motion(state), found, fitted)
     except ConfigurationError as error:
         raise StepFailedError(str(error)) from error
     path = state.folder / PROPOSED
     write_parameters(proposal.after, path)
     print_lines(proposal_lines(proposal, (), notes, path))
-    if lacking := lacks(proposal, state.amplitude):
+    if lacking := lacks(proposal, state.answered.amplitude):
         raise StepFailedError(lacking)
     return Outcome(f'configuration: {path}', {
         key: value for key, value in proposal.after.to_flat('controller', 'safety').items()
@@ -95,9 +96,9 @@ def first_motion(state: State) -> Configuration:
     home = state.log.number('identify', 'position') if c.plant.order > 1 else 0.0
     duration = SHORTEST
     if c.plant.order > 1:
-        duration = max(duration, PEAK * state.amplitude / (USED * limits.speed))
+        duration = max(duration, PEAK * state.answered.amplitude / (USED * limits.speed))
     keys = {'trajectory.kind': 'point_to_point', 'trajectory.start': home,
-            'trajectory.goal': home + state.amplitude, 'trajectory.t_start': 1.0,
+            'trajectory.goal': home + state.answered.amplitude, 'trajectory.t_start': 1.0,
             'trajectory.duration': duration, 'trajectory.repeat': True, 'trajectory.dwell': 1.0,
             'loop.duration': state.duration, 'safety.command_limit': limits.effort,
             'safety.error_limit': 0.5 * limits.travel,
@@ -150,19 +151,16 @@ def loop_step(state: State) -> Outcome:
         StepFailedError: It does not, or the loop ends in a fault.
     """
     from dz_ros.cli.main import parser_of
-    from dz_ros.recording.reader import read_run
     from dz_ros.report.verdict import judge
     from dz_ros.report.view import View
 
     path, c = proposed(state)
     name = f'/{state.namespace.strip("/")}/estop' if state.namespace.strip('/') else '/estop'
-    ask_to_move(c, state.limits, f'the first closed loop, {state.amplitude:g} back and forth',
-                c.loop.duration, state.yes)
+    amplitude = state.answered.amplitude
+    state.may_move(f'the first closed loop, {amplitude:g} back and forth', c.loop.duration)
     print_lines(f'the e-stop is armed: topic {name}, dz estop, Ctrl-C')
     directory = state.folder / 'run'
     words = ['run', str(path), '--record', str(directory), '--namespace', state.namespace]
-    if state.page is not None:
-        words += ['--live', '--host', state.page[0], '--port', str(state.page[1])]
     arguments = parser_of(words).parse_args(words)
     previous = {number: signal.getsignal(number) for number in ENDS}
     try:
@@ -173,7 +171,7 @@ def loop_step(state: State) -> Outcome:
     sys.stdout.flush()
     if not directory.exists():
         raise StepFailedError(f'the loop did not start, exit code {code}')
-    view = View.of(read_run(directory))
+    view = View.of(read_recording(directory))
     verdict, unit = judge(view), c.make_driver().state_units[0]
     rows = view.rows
     tail = np.abs(rows.error[rows.t >= view.metrics.window[0], 0])
@@ -184,17 +182,18 @@ def loop_step(state: State) -> Outcome:
         raise StepFailedError('; '.join(verdict.failures) or f'exit code {code}', **numbers)
     found = (f'error {error:.3g} {unit} in {MOSTLY:.0%} of the last samples, largest '
              f'{view.metrics.error_max or math.inf:.3g} {unit}, of a motion of '
-             f'{state.amplitude:g} {unit}')
-    if not error <= TRACKS * state.amplitude:
+             f'{amplitude:g} {unit}')
+    if not error <= TRACKS * amplitude:
         raise StepFailedError(f'it does not track: {found}', **numbers)
     return Outcome(f'it tracks: {found}', numbers)
 
 
 def report_step(state: State) -> Outcome:
     """Write the report of the newest loop."""
-    from dz_ros.recording.reader import read_run
     from dz_ros.report.report import write_report
 
     run = state.of('loop') / 'run'
-    page = write_report(read_run(run), state.folder / 'report', title=run.parent.name)
+    data = read_recording(run)
+    with stage('drawing pictures') as step:
+        page = write_report(data, state.folder / 'report', title=run.parent.name, progress=step)
     return Outcome(f'report: {page}', {'page': str(page.relative_to(state.log.folder))})

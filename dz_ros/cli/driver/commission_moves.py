@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from dz_ros.cli.driver.commission_state import Outcome, State, StepFailedError
-from dz_ros.cli.driver.identify_moves import ask_to_move, move
+from dz_ros.cli.driver.identify_moves import move
 from dz_ros.cli.driver.identify_output import plant_lines, result_lines, write_bounds
 from dz_ros.cli.output import print_lines
 from dz_ros.errors import DriverError, RecordingError
@@ -33,11 +33,11 @@ def _moved(state: State, experiment: Moves, what: str) -> Samples:
         StepFailedError: The device did not do what it had to, or it was stopped.
     """
     c = state.c
-    ask_to_move(c, state.limits, what, experiment.duration, state.yes)
+    state.may_move(what, experiment.duration)
     begun = time.time_ns()
     try:
         samples = move(c, experiment, state.namespace,
-                       lambda found: state.keep(to_run(found, c, begun)))
+                       lambda found: state.keep(to_run(found, c, begun)), state.operator.watch)
     except DriverError as error:
         raise StepFailedError(' '.join(str(error).split())) from error
     for breach in experiment.breaches:
@@ -59,7 +59,8 @@ def sign_step(state: State) -> Outcome:
         StepFailedError: It moves the other way, or not at all.
     """
     c = state.c
-    test = SignTest(state.limits, state.plan, c.plant.order, c.loop.period, c.safety.safe_command)
+    test = SignTest(state.limits, state.answered.plan, c.plant.order, c.loop.period,
+                    c.safety.safe_command)
     samples = _moved(state, test, 'a small pulse to each side')
     right, left = test.sides[1], -test.sides[-1]
     return Outcome(f'the device follows the command: it began to move at v = {right:.4g} and '
@@ -75,8 +76,8 @@ def sensor_step(state: State) -> Outcome:
     """
     c = state.c
     sides = [state.log.number('sign', name) for name in ('right', 'left')]
-    pulses = Pulses(state.limits, state.plan, c.plant.order, c.loop.period, c.safety.safe_command,
-                    sides)
+    pulses = Pulses(state.limits, state.answered.plan, c.plant.order, c.loop.period,
+                    c.safety.safe_command, sides)
     samples = _moved(state, pulses, 'short pulses to both sides')
     step = resolution(samples.x[:, 0])
     missing = float(np.mean(~np.isfinite(samples.x[:, 0])))
@@ -104,9 +105,10 @@ def identify_step(state: State) -> Outcome:
         StepFailedError: The moves do not show them.
     """
     c = state.c
-    experiment = Experiment(state.limits, state.plan, c.plant.order, c.loop.period,
+    experiment = Experiment(state.limits, state.answered.plan, c.plant.order, c.loop.period,
                             c.safety.safe_command)
-    samples = _moved(state, experiment, f'{state.plan.repeats} times ramps and steps both ways')
+    samples = _moved(state, experiment,
+                     f'{experiment.plan.repeats} times ramps and steps both ways')
     try:
         found = identify(samples, c, experiment.moving)
     except RecordingError as error:

@@ -10,10 +10,11 @@ import sys
 from types import FrameType
 from typing import Any
 
-from dz_ros.cli.options import add_configuration, read_configuration
+from dz_ros.cli.options import add_configuration, read_machine
 from dz_ros.core import schema
 from dz_ros.drivers.emulators import Emulator, EMULATORS, Fault
 from dz_ros.errors import ConfigurationError, DzRosError
+from dz_ros.files.configurations import shipped_configurations
 from dz_ros.files.yaml12 import parse, YamlError
 from dz_ros.runtime.signals import on_ends
 
@@ -22,12 +23,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument('kind', nargs='?', metavar='KIND',
                         help='device; see --list')
-    add_configuration(parser)
+    add_configuration(parser, default=None, without='the shipped one named as KIND')
+    parser.add_argument('--nodes', type=int, default=0, metavar='N',
+                        help='emulate N devices, with the node ids of the axes of CONFIG, or 1 to '
+                        'N (default: one for each axis)')
     parser.add_argument('-o', '--option', action='append', default=[], metavar='KEY=VALUE',
                         dest='options', help='an option of the device, the value as YAML')
-    parser.add_argument('--fault', action='append', default=[], metavar='NAME@START[+S][=VALUE]',
-                        dest='faults', help='something that goes wrong, START s after the first '
-                        'command that moves the device, for S s; may be repeated')
+    parser.add_argument('--fault', action='append', default=[], dest='faults',
+                        metavar='[DEVICE:]NAME@START[+S][=VALUE]',
+                        help='something that goes wrong, START s after the first command that '
+                        'moves the device, for S s; DEVICE is an axis or node id, else each one; '
+                        'may be repeated')
     parser.add_argument('--list', action='store_true',
                         help='list the devices, or the options and faults of one')
 
@@ -45,11 +51,17 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.list:
         _describe(kind)
         return 0
-    emulator: Emulator = kind(
-        schema.build(kind.Parameters, _options(kind, arguments.options), '--option '),
-        read_configuration(arguments),
-        [Fault.parse(text, kind.faults) for text in arguments.faults])
-    return _be(emulator)
+    if arguments.config is None and kind.name in shipped_configurations():
+        arguments.config = kind.name
+    parameters = schema.build(kind.Parameters, _options(kind, arguments.options), '--option ')
+    machine = read_machine(arguments)
+    faults = [Fault.parse(text, kind.faults) for text in arguments.faults]
+    if machine.axes or arguments.nodes:
+        return _be(kind.of_axes(parameters, machine, arguments.nodes, faults))
+    for text, fault in zip(arguments.faults, faults, strict=True):
+        if fault.device:
+            raise ConfigurationError('--fault', text, f'there is one device, no {fault.device}')
+    return _be(kind(parameters, machine, faults))
 
 
 def _names() -> list[str]:

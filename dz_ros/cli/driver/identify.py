@@ -20,8 +20,14 @@ from dz_ros.cli.driver.identify_output import (
     write_bounds,
 )
 from dz_ros.cli.driver.move_limits import add_limits, build_limits, given_limits
-from dz_ros.cli.options import add_allow_import, add_configuration, read_configuration
+from dz_ros.cli.options import (
+    add_allow_import,
+    add_configuration,
+    read_configuration,
+    read_recording,
+)
 from dz_ros.cli.output import print_lines
+from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
 from dz_ros.core.design.finding import ERROR, worst
@@ -42,8 +48,7 @@ from dz_ros.identification.samples import to_run
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     add_configuration(parser, 'where the e-stop is, whose topics of RUN and sections of CONFIG '
-                      'count')
-    parser.set_defaults(config=None)
+                      'count', default=None)
     add_limits(parser, 'limits of the moves, in the units of the driver')
     parser.add_argument('--yes', action='store_true', help='do not ask before it moves')
     parser.add_argument('--from', type=Path, metavar='RUN', dest='run',
@@ -66,7 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
     breakaway: list[float] = []
     if arguments.run is not None:
         c, data = _recorded(arguments)
-        samples, found = identify_log(data, c)
+        with stage('finding the dead-zone'):
+            samples, found = identify_log(data, c)
         _begin(out)             # a run that cannot be used leaves nothing behind
     else:
         if arguments.config is None:
@@ -90,12 +96,15 @@ def run(arguments: argparse.Namespace) -> int:
 
         _begin(out)             # the moves are kept, whatever comes of them
         save_run(made, out / 'run')
-        found = identify(samples, c, experiment.moving)
+        with stage('finding the dead-zone'):
+            found = identify(samples, c, experiment.moving)
     print_lines(result_lines(found, c))
-    fitted, problem = refine_identified(found, samples, c)
+    with stage('refining the plant'):
+        fitted, problem = refine_identified(found, samples, c)
     print_lines(plant_lines(fitted, c))
     write_bounds(found, fitted, c, breakaway, out)
-    proposal, notes = propose(c, found, fitted)
+    with stage('proposing gains'):
+        proposal, notes = propose(c, found, fitted)
     sticks = static_friction_note(found, breakaway, c)
     notes = (*notes, *(item for item in (problem, sticks) if item))
     findings = check(proposal.after)
@@ -116,11 +125,10 @@ def _recorded(arguments: argparse.Namespace) -> tuple[Configuration, RunData]:
     Raises:
         ConfigurationError: There is none.
     """
-    from dz_ros.recording.reader import read_run
     from dz_ros.replay.whatif import base_configuration
     from dz_ros.runs.axes import choose_axis
 
-    data = choose_axis(read_run(arguments.run, arguments.namespace or None), arguments.axis)
+    data = choose_axis(read_recording(arguments.run, arguments.namespace or None), arguments.axis)
     if arguments.config is not None:
         return read_configuration(arguments), data
     flat = base_configuration(data)

@@ -20,6 +20,8 @@ from dz_ros.runtime.signals import stop_on_signals, Stopping
 
 SLICE = 0.05
 """A signal is noticed within this, or a sample [s]."""
+CLEAR = 'Is everybody away from it, and the e-stop at hand?'
+NOTHING_MOVED = 'nothing has moved'
 
 
 def ask(c: Configuration, limits: Limits, plan: Plan, duration: float, yes: bool) -> None:
@@ -29,42 +31,48 @@ def ask(c: Configuration, limits: Limits, plan: Plan, duration: float, yes: bool
         ConfigurationError: There is no terminal to ask at.
         DriverError: The answer is not yes.
     """
-    ask_to_move(c, limits, f'{plan.repeats} times ramps and steps both ways', duration, yes)
+    print(motion_text(c, limits, f'{plan.repeats} times ramps and steps both ways', duration))
+    if not yes:
+        ask_at_terminal()
 
 
-def ask_to_move(c: Configuration, limits: Limits, what: str, duration: float, yes: bool) -> None:
-    """Print how a device is going to move, and ask whether it may.
+def motion_text(c: Configuration, limits: Limits, what: str, duration: float) -> str:
+    """Return how a device is going to move.
 
     Args:
         c: Names the driver.
         limits: How far, fast and hard at most.
         what: The moves, as text.
         duration: Of all of it, at most [s].
-        yes: Do not ask.
-
-    Raises:
-        ConfigurationError: There is no terminal to ask at.
-        DriverError: The answer is not yes.
     """
     driver = c.make_driver()
     x, unit = driver.state_units[0], driver.command_unit
     speed = ''
     if c.plant.order > 1:
         speed = f', no faster than {limits.speed:g} {driver.state_units[1]}'
-    print(f'{driver.name} is going to move: {what}, '
-          f'within {limits.travel:g} {x} of where it stands{speed}, |v| up to {limits.effort:g} '
-          f'{unit}, at most about {duration:.0f} s' + (' of loop time' if driver.lockstep else ''))
-    if yes:
-        return
+    return (f'{driver.name} is going to move: {what}, '
+            f'within {limits.travel:g} {x} of where it stands{speed}, |v| up to '
+            f'{limits.effort:g} {unit}, at most about {duration:.0f} s'
+            + (' of loop time' if driver.lockstep else ''))
+
+
+def ask_at_terminal() -> None:
+    """Ask whether a device may move.
+
+    Raises:
+        ConfigurationError: There is no terminal to ask at.
+        DriverError: The answer is not yes.
+    """
     if not sys.stdin.isatty():
         raise ConfigurationError('--yes', False, 'there is no terminal to ask whether it may '
                                  'move; check that the area is clear, then give --yes')
-    if input('Is everybody away from it, and the e-stop at hand? Type yes to start: ') != 'yes':
-        raise DriverError('nothing has moved')
+    if input(f'{CLEAR} Type yes to start: ') != 'yes':
+        raise DriverError(NOTHING_MOVED)
 
 
 def move(c: Configuration, experiment: Experiment, namespace: str,
-         kept: Callable[[Samples], None] | None = None) -> Samples:
+         kept: Callable[[Samples], None] | None = None,
+         watch: Callable[[Experiment], str] = lambda _: '') -> Samples:
     """Run an experiment through the configured driver.
 
     Args:
@@ -72,12 +80,13 @@ def move(c: Configuration, experiment: Experiment, namespace: str,
         experiment: What to do.
         namespace: Where the e-stop is.
         kept: Called with what was measured where it does not come to its end.
+        watch: Called in each sample; returns why to stop, '' = go on.
 
     Raises:
         DriverError: The device fails, or it was stopped: the safe command has been sent.
     """
     lockstep = c.driver_class.lockstep
-    progress = Progress(experiment.plan.repeats, what='repeats')
+    progress = Progress(experiment.plan.repeats, 'repeats')
     with stop_on_signals() as stopping, stop_on_estop(stopping, lockstep, namespace):
         wait = (lambda seq: seq) if lockstep else _pacer(c.loop.period, stopping)
 
@@ -88,7 +97,7 @@ def move(c: Configuration, experiment: Experiment, namespace: str,
             if experiment.repeat > shown:
                 shown = experiment.repeat
                 progress(shown, experiment.plan.repeats)
-            return stopping.reason
+            return stopping.reason or watch(experiment)
 
         samples = run_session(c, experiment, wait, stopped, kept=kept)
         progress(experiment.plan.repeats, experiment.plan.repeats)

@@ -13,8 +13,9 @@ included. The noise should stay inside the layer: σ_s ≤ 0.75 ε. A backward d
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 import math
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +49,23 @@ def sensor_noise(c: Configuration, resolution: float) -> float:
     """Return σ of what the velocity is observed from, noise and steps [unit of x^(n−2)]."""
     steps = resolution / math.sqrt(12.0) if c.plant.order == 2 else 0.0
     return math.hypot(c.noise[c.plant.order - 2], steps)
+
+
+def measured_steps(driver: Any) -> tuple[float, ...]:
+    """Return one step of each state that a driver knows of, that of x first; 0 = not known."""
+    return (driver.resolution, *getattr(driver, 'derivative_resolution', ()))
+
+
+def state_noise(c: Configuration, steps: Sequence[float]) -> tuple[float, ...]:
+    """Return σ of each measured state, noise and steps [state units], shape (n,).
+
+    Args:
+        c: Noise.
+        steps: One step of each state as it is measured [state units]; those missing are 0.
+    """
+    padded = (*steps, *(0.0,) * c.plant.order)
+    return tuple(math.hypot(sigma, step / math.sqrt(12.0))
+                 for sigma, step in zip(c.noise, padded, strict=False))
 
 
 def check_observer(c: Configuration, measured: int,

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Design rules of a configuration, checked and explained (ours).
 
-    k* ≥ ρ/m_min + Δ/(b_min m_min) + ρ_I      (18), with disturbance |·| ≤ Δ and an integral's ρ_I;
-                                              with a feed-forward m_max |d̂ − d|/m in place of ρ
+    k* ≥ ρ/m_min + Δ/(b_min m_min) + ρ_I      (18), dz_ros.core.design.robust_gain
     ω against K, and its noise against ε       (core/design/observation), where a driver observes
     limit cycle of commands in steps           (core/design/command_steps)
     spectral radius of the loop < 1            no chatter (dz_ros.core.design.linear_loop)
@@ -19,7 +18,6 @@ import math
 from typing import Any
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.deadzone import rho
 from dz_ros.core.design.along_reference import disturbance_along_reference
 from dz_ros.core.design.assumptions import check_assumptions, check_projection
 from dz_ros.core.design.boundary_layer import chatter_limit
@@ -27,40 +25,13 @@ from dz_ros.core.design.command_steps import check_command_steps
 from dz_ros.core.design.finding import ERROR, Finding, INFO, WARNING
 from dz_ros.core.design.guard_noise import check_guard
 from dz_ros.core.design.linear_loop import largest_beta, largest_gain, spectral_radius
-from dz_ros.core.design.observation import check_observer
+from dz_ros.core.design.observation import check_observer, measured_steps, state_noise
+from dz_ros.core.design.robust_gain import RobustGain
 from dz_ros.core.laws.base import Design
-from dz_ros.core.laws.extensions import largest_rest
 from dz_ros.core.tracking import guaranteed_bounds
 
 DELAYS = (0, 1, 2)
 """Loop delays for which the margin is stated [samples]; topics take one of the first two."""
-
-ROUNDING = 1e-9
-"""k* may miss its bound by this share: sums that are meant to be equal."""
-
-
-def least_robust_gain(bound: float, m_min: float, b_min: float = 1.0, disturbance: float = 0.0,
-                      reserve: float = 0.0) -> float:
-    """Return the least k* that covers dead-zone, disturbance and integral, (18) [actuator unit].
-
-    Args:
-        bound: ρ [actuator unit].
-        m_min: Least slope m.
-        b_min: Least input gain b [unit of x^(n) per actuator unit].
-        disturbance: Bound Δ of the disturbance [unit of x^(n)].
-        reserve: Authority ρ_I of an integral [actuator unit].
-    """
-    return bound / m_min + disturbance / (b_min * m_min) + reserve
-
-
-def dead_zone_bound(c: Configuration, design: Design) -> float:
-    """Return what of the dead-zone k* has to cover, ρ, or m_max |d̂ − d|/m with a feed-forward."""
-    known = c.controller_settings
-    if design.inverse:
-        return 0.0
-    if design.guess:
-        return known.m_bounds[1] * largest_rest(design.guess, known.b_r_bounds, known.b_l_bounds)
-    return rho(known.b_r_bounds[1], known.b_l_bounds[0], known.m_bounds[1])
 
 
 def check(configuration: Configuration, disturbance: float | None = None,
@@ -94,50 +65,35 @@ def check(configuration: Configuration, disturbance: float | None = None,
     findings += [*check_projection(c, design), *_robust_gain(c, design, disturbance),
                  *_target(c, design), *_chatter(c, design, complaints),
                  *check_observer(c, driver.measured, driver.resolution),
-                 *check_guard(c, driver.measured, driver.resolution),
+                 *check_guard(c, driver.measured, measured_steps(driver)),
                  *check_command_steps(c, getattr(driver, 'command_resolution', 0.0),
                                       driver.measured),
-                 *_stability(c, design, stability_limit, lost), *_uncovered(c, design)]
+                 *_stability(c, design, stability_limit, lost),
+                 *_uncovered(c, design, state_noise(c, measured_steps(driver))[-1])]
     return tuple(findings)
 
 
 def _robust_gain(c: Configuration, design: Design, disturbance: float) -> Iterator[Finding]:
     """(18), with the disturbance and an integral on top."""
-    known = c.controller_settings
-    bound = dead_zone_bound(c, design)
-    m_min, b_min = known.m_bounds[0], known.b_bounds[0]
-    least = least_robust_gain(bound, m_min, reserve=design.reserve)
-    full = least_robust_gain(bound, m_min, b_min, disturbance, design.reserve)
-    numbers = {'k': design.k, 'rho': bound, 'least': least, 'reserve': design.reserve,
-               'disturbance': disturbance, 'least_with_disturbance': full}
-    share = f' + {design.reserve:g} of the integral' if design.reserve else ''
-    name = 'rho' if not design.guess else 'what the feed-forward leaves, rho'
-    term = f'{name}/m_min{share}'
-    covers = (f'{c.law.name} compensates the dead-zone itself' if design.inverse else
-              f'k* = {design.k:g} covers the dead-zone ({term} = {least:.4g})')
+    gain = RobustGain.of(c)
+    assert gain is not None
+    full = gain.with_disturbance(disturbance)
+    numbers = {'k': design.k, 'rho': gain.bound, 'least': gain.least, 'reserve': design.reserve,
+               'disturbance': disturbance, 'least_with_disturbance': full, 'covered': gain.room}
+    along = (f'{gain.words}; along the reference the model has {disturbance:.4g} of it'
+             f'{gain.beside(disturbance)}')
     if design.k <= 0.0 and not design.inverse:
-        yield Finding(WARNING, '(18)', f'{c.law.name} has no robust term: nothing covers the '
-                      f'dead-zone, rho/m_min = {least:.4g}', numbers, 'choose another law')
-    elif design.k < least * (1.0 - ROUNDING):
-        yield Finding(ERROR, '(18)', f'k* = {design.k:g} does not cover the dead-zone: '
-                      f'{term} = {least:.4g}', numbers,
-                      f'raise k* to {least:.4g}, or narrow the bounds'
-                      + (', or give the integral less authority' if share else '')
+        yield Finding(WARNING, '(18)', gain.words, numbers, 'choose another law')
+    elif not gain.covers():
+        yield Finding(ERROR, '(18)', gain.words, numbers,
+                      f'raise k* to {gain.least:.4g}, or narrow the bounds'
+                      + (', or give the integral less authority' if design.reserve else '')
                       + (', or guess the break points better' if design.guess else ''))
-    elif design.k < full * (1.0 - ROUNDING):
-        covered = (design.k - least) * b_min * m_min
-        if design.inner_reserve >= full - design.k:
-            yield Finding(INFO, '(18)', f'{covers}; of the disturbance {disturbance:.4g} the '
-                          f'robust term covers {covered:.4g}, the integral inside the layer, up '
-                          f'to {design.inner_reserve:g}, takes the rest: in simulation, without '
-                          f'proof (k* = {full:.4g} would have one)', numbers)
-            return
-        yield Finding(WARNING, '(18)', f'{covers}; of the disturbance {disturbance:.4g} the '
-                      f'robust term covers {covered:.4g}', numbers,
-                      f'raise k* to {full:.4g}, or rely on what adaptation and layer absorb')
+    elif gain.covers(disturbance) or gain.leaves_to_integral(disturbance):
+        yield Finding(INFO, '(18)', along, numbers)
     else:
-        yield Finding(INFO, '(18)', f'{covers}; k* covers a disturbance of {disturbance:.4g} '
-                      f'too ({full:.4g} together)', numbers)
+        yield Finding(WARNING, '(18)', along, numbers, f'raise k* to {full:.4g}, or rely on what '
+                      'adaptation and layer absorb')
 
 
 def _target(c: Configuration, design: Design) -> Iterator[Finding]:
@@ -265,13 +221,13 @@ def _stability(c: Configuration, design: Design, limit: float | None,
                   f'is lost{refused} above λ = {limit:.3g}', numbers, change)
 
 
-def _uncovered(c: Configuration, design: Design) -> Iterator[Finding]:
-    """Return what the theorem does not cover."""
+def _uncovered(c: Configuration, design: Design, sigma: float) -> Iterator[Finding]:
+    """Return what the theorem does not cover; sigma: of the measured x^(n−1)."""
     limit = c.plant_settings.command_limit
     gaps = ['sampling and loop delay']
-    if any(c.noise):
+    if any(c.noise) or sigma > 0.0:
         gaps.append('measurement noise (v shows '
-                    f'{(design.gain + design.lead) * c.noise[-1]:.3g} of it)')
+                    f'{(design.gain + design.lead) * sigma:.3g} of it)')
     if limit > 0.0:
         gaps.append(f'saturation at {limit:g}')
     if c.plant_settings.backlash > 0.0:

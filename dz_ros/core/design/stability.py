@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.deadzone import rho
 from dz_ros.core.design.along_reference import disturbance_along_reference
-from dz_ros.core.design.rules import least_robust_gain
+from dz_ros.core.design.robust_gain import least_robust_gain
 from dz_ros.core.loop.offline import Run, simulate
 from dz_ros.core.tracking import guaranteed_bounds
 from dz_ros.errors import ConfigurationError

@@ -190,9 +190,9 @@ def _simulate_together(configuration: Configuration) -> dict[str, Run]:
         for i in axes:
             followed, item, now = [0.0] * (n + 1), each[i], list(motion.x[i])
             now = [now[j] + float(noise[i][k, j]) for j in range(n)]
-            quantum = item.plant_settings.resolution
-            if quantum > 0.0:
-                now[0] = math.floor(now[0] / quantum + 0.5) * quantum
+            for j, quantum in enumerate(item.quanta):
+                if quantum > 0.0:
+                    now[j] = math.floor(now[j] / quantum + 0.5) * quantum
             item.trajectory.evaluate(t, item.trajectory.constants, followed)
             if seen[i] < n:
                 now[n - 1] = observers[i].kernel(

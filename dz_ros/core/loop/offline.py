@@ -70,10 +70,12 @@ MEMORY = max(item.size for item in OBSERVERS.values())
 """Numbers of memory that any observer has."""
 
 
-def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity) -> Loop:
+def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity,
+              outer: Callable[[Any], Any] = identity) -> Loop:
     """Return the function that runs this combination of law, plant and trajectory.
 
-    Their numbers are arguments of it; `jit` compiles every function, the identity leaves Python.
+    Their numbers are arguments of it; `jit` compiles every function it calls, `outer` itself, the
+    identity leaves Python.
     """
     advance = make_advance(configuration.plant.regressors, configuration.plant.disturbance, jit,
                            configuration.plant.sticking)
@@ -88,8 +90,8 @@ def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity
     observe = jit(observer_of(configuration).kernel)
 
     def loop(last: int, period: float, substeps: int, delay: int, limit: float, pulse_from: int,
-             pulse_to: int, pulse: float, seen: int, quantum: float, omega: float, grain: float,
-             play: float, band: float, desired: bool, psi_at: int, schedule: Numbers,
+             pulse_to: int, pulse: float, seen: int, omega: float, grain: float, play: float,
+             band: float, desired: bool, psi_at: int, steps: Numbers, schedule: Numbers,
              plant: Numbers, zone_numbers: Numbers, motion: Numbers, gains: Numbers, x: Buffer,
              y: Buffer, x_d: Buffer, memory: Buffer, new_memory: Buffer, terms: Buffer,
              measured: Buffer, k1: Buffer, k2: Buffer, k3: Buffer, stage: Buffer, watch: Buffer,
@@ -105,8 +107,8 @@ def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity
             for i in range(n):
                 out_x[k * n + i] = x[i]
                 measured[i] = x[i] + noise[k * n + i]
-            if quantum > 0.0:
-                measured[0] = math.floor(measured[0] / quantum + 0.5) * quantum
+                if steps[i] > 0.0:
+                    measured[i] = math.floor(measured[i] / steps[i] + 0.5) * steps[i]
             evaluate(t, motion, x_d)
             if seen < n:
                 measured[n - 1] = observe(omega, watch, measured[n - 2], x_d[n - 2], x_d[n - 1],
@@ -147,14 +149,14 @@ def make_loop(configuration: Configuration, jit: Callable[[Any], Any] = identity
                 advance(x, held, t, h, substeps, plant, zone_numbers, y, k1, k2, k3, stage,
                         push)
 
-    function: Loop = jit(loop)
+    function: Loop = outer(loop)
     return function
 
 
-def _seen(c: Configuration) -> tuple[int, float, float, float, float]:
-    """Return number of measured states, step of the sensor, observer's rate, step of v, play."""
-    return (c.make_driver().measured, c.plant_settings.resolution, observer_of(c).omega,
-            c.plant_settings.command_resolution, c.plant_settings.backlash)
+def _seen(c: Configuration) -> tuple[int, float, float, float]:
+    """Return number of measured states, observer's rate, step of v, play."""
+    return (c.make_driver().measured, observer_of(c).omega, c.plant_settings.command_resolution,
+            c.plant_settings.backlash)
 
 
 def measurement_noise(configuration: Configuration, samples: int) -> Array:
@@ -191,8 +193,8 @@ def simulate(configuration: Configuration, loop: Loop | None = None,
     columns = (n, n, n + 1, None, None, 3, width)  # None: one number a sample, no row
     schedule = c.loop.schedule
     times = () if schedule is None else (*schedule.times, *schedule.values)
-    numbers = (times, c.plant.constants, c.zone_numbers, c.trajectory.constants, c.law.constants,
-               c.x0, np.zeros(r), np.zeros(n + 1), memory, np.zeros(len(memory)),
+    numbers = (c.quanta, times, c.plant.constants, c.zone_numbers, c.trajectory.constants,
+               c.law.constants, c.x0, np.zeros(r), np.zeros(n + 1), memory, np.zeros(len(memory)),
                np.zeros(width), *np.zeros((5, n)), np.zeros(MEMORY))
     arguments: list[Any] = [*(np.array(item, dtype=float) for item in numbers),
                             measurement_noise(c, count).ravel(),

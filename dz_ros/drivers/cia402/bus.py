@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bus with one drive on it: SDO, NMT and what the drive sends, kept for its readers (ours).
+"""One drive on its bus: SDO, NMT and what the drive sends, kept for its readers (ours).
 
-canopen's receiving thread calls the ``_on_…`` methods; the newest measurement is one immutable
-value that they exchange as a whole, so a reader needs no lock. What goes wrong is kept until
-`forget_fault`: the first fault is the one reported.
+The connection is that of all drives of the bus, ``shared_bus.py``. canopen's receiving thread
+calls the ``_on_…`` methods; the newest measurement is one immutable value that they exchange as a
+whole, so a reader needs no lock. What goes wrong is kept until `forget_fault`: the first fault is
+the one reported.
 
 Over 300 lines: what one thread receives and the others read, in one place.
 """
@@ -15,10 +16,9 @@ import math
 import struct
 import threading
 import time
-from typing import Any
+from typing import Any, TYPE_CHECKING
 
 from dz_ros.drivers.cia402 import objects
-from dz_ros.drivers.cia402.connection import bus_errors, connect, Watcher
 from dz_ros.drivers.cia402.measurement import (
     Answers,
     Measurement,
@@ -33,6 +33,9 @@ from dz_ros.drivers.cia402.setup import configure
 from dz_ros.drivers.cia402.states import DriveState, Promises, state_of
 from dz_ros.errors import DriverError
 
+if TYPE_CHECKING:
+    from dz_ros.drivers.cia402.shared_bus import SharedBus
+
 START, STOP, PRE_OPERATIONAL, RESET, RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
 """NMT commands."""
 BOOTED, STOPPED, OPERATIONAL, PREPARED = 0, 4, 5, 127
@@ -41,8 +44,6 @@ NMT_STATES = {BOOTED: 'boot-up', STOPPED: 'stopped', OPERATIONAL: 'operational',
               PREPARED: 'pre-operational'}
 _LEADS_TO = {STOP: STOPPED, PRE_OPERATIONAL: PREPARED, RESET: BOOTED, RESET_COMMUNICATION: BOOTED}
 NMT, SYNC, EMCY, HEARTBEAT = 0, 0x80, 0x80, 0x700
-BUS_OFF = 0x40
-"""Bit of the identifier of an error frame, as Linux numbers them."""
 _AWAKE = 0.03
 """A process that checks the heartbeat less often than this was asleep [s]."""
 SWING = 0.05
@@ -52,11 +53,12 @@ _MALFORMED = 10
 
 
 class DriveBus:
-    """One drive and the bus it is on.
+    """One drive on its bus.
 
     Args:
         parameters: Where it is and what its numbers mean.
         period: Loop period [s].
+        shared: The bus.
 
     Attributes:
         measurement: The newest; None before the first.
@@ -71,39 +73,43 @@ class DriveBus:
         remarks: Permitted differences from its settings.
         position: Its counter.
         target: Target it was last sent.
-        network: canopen's, while open.
+        network: canopen's for this drive alone, while open.
     """
 
-    def __init__(self, parameters: Cia402Parameters, period: float) -> None:
+    def __init__(self, parameters: Cia402Parameters, period: float, shared: SharedBus) -> None:
         self.parameters = p = parameters
+        self.restarted = False
+        self.place = f'{p.interface} {p.channel}, node {p.node_id}'
+        self.scaling = Scaling.of(p)
+        self._period = period
+        self._shared = shared
+        self.position = Position(float(p.counts_per_rev))
+        self._swing = SWING * self.scaling.largest
+        self._fault = ''
+        self._news = threading.Condition()
+        self.network: Any = None
+        self._sdo: Sdo | None = None
+        self.forget()
+
+    def forget(self) -> None:
+        """Know nothing of the drive but what holds over connections: restarts, turns, a fault."""
+        p = self.parameters
         self.measurement: Measurement | None = None
         self.statusword = -1
         self.received_at = self.synced_at = self.left_at = -math.inf
-        self.restarted = False
         self.nmt_state: int | None = None
         self.mode: int | None = None
         self.polls_mode = False
         self.target = 0
         self.remarks: tuple[str, ...] = ()
-        self.place = f'{p.interface} {p.channel}, node {p.node_id}'
         self.command, self._first, self._second = objects.layout(
             p.mode, p.act_at == 'sync', p.velocity_measured)
-        self.scaling = Scaling.of(p)
-        self._period = period
-        self.position = Position(float(p.counts_per_rev))
         self._answers = Answers(1 if self._second is None else 2)
         self._promises = Promises()
-        self._swing = SWING * self.scaling.largest
         self._repeats = Repeats(self._swing)
         self._started = False
         self._malformed = [0, 0]
         self._heartbeat_at = self._watched_at = math.inf
-        self._fault = ''
-        self._lost = False
-        self._news = threading.Condition()
-        self.network: Any = None
-        self._sdo: Sdo | None = None
-        self._error: tuple[type[Exception], ...] = (OSError,)
 
     # The bus.
 
@@ -114,9 +120,11 @@ class DriveBus:
             MissingDependencyError: canopen or python-can is not installed.
             DriverError: There is no such bus.
         """
+        self._shared.join(self)
+
+    def attach(self, network: Any) -> None:
+        """Receive from a canopen network what the drive sends."""
         p = self.parameters
-        network = connect(p, Watcher(self._on_error_frame, self._on_bus_error))
-        self._error = bus_errors()
         self._sdo = Sdo(network, p, self.place)
         network.subscribe(HEARTBEAT + p.node_id, self._on_heartbeat)
         network.subscribe(NMT, self._on_nmt)
@@ -125,36 +133,19 @@ class DriveBus:
         if self._second is not None:
             network.subscribe(self._second.cob_id(p.node_id), self._on_second)
         self.network = network
-        self._lost = False
 
     def close(self) -> None:
         """Leave the bus; the drive's own watchdogs stop it if it still runs."""
-        network, self.network = self.network, None
-        if network is not None:
-            try:
-                network.disconnect()
-            except self._error as error:
-                self.complain(f'the bus could not be closed: {error}')
-
-    def follow(self, earlier: DriveBus) -> None:
-        """Know what was known at a connection that has gone: restarts, turns made."""
-        self.restarted = earlier.restarted
-        self.position = earlier.position
+        self.complain_if(self._shared.leave(self))
 
     @property
     def broken(self) -> bool:
         """Whether the bus is not there, or has gone."""
-        return self.network is None or self._lost
+        return self.network is None or self._shared.lost
 
     def send(self, identifier: int, data: bytes) -> None:
         """Send one frame; where the bus is gone that is a fault, not an error."""
-        network = self.network
-        if network is None:
-            return
-        try:
-            network.send_message(identifier, data)
-        except self._error as error:
-            self._on_bus_error(error)
+        self._shared.send(identifier, data)
 
     # Talking with the drive; waits for it.
 
@@ -211,11 +202,10 @@ class DriveBus:
         if self.state not in (DriveState.ENABLED, DriveState.QUICK_STOP):
             self.nmt(PRE_OPERATIONAL)
 
-    def sync(self) -> None:
-        """Send a SYNC."""
-        self.synced_at = time.monotonic()
-        self._answers.sync(self.synced_at)
-        self.send(SYNC, b'')
+    def synced(self, at: float) -> None:
+        """Note that a SYNC goes out at `at` [s]."""
+        self.synced_at = at
+        self._answers.sync(at)
         if self._answers.repeated >= REPEATED:
             self.complain('more than one answer to each SYNC: does another node have the id '
                           f'{self.parameters.node_id}?')
@@ -392,13 +382,3 @@ class DriveBus:
             meaning = EmcyError(code, register, b'', 0.0).get_desc()
             self.complain(f'EMCY {code:04X}h ({meaning or "unknown"}), error register '
                           f'{register:02X}h')
-
-    def _on_error_frame(self, identifier: int) -> None:
-        if identifier & BUS_OFF:
-            self._lost = True
-            self.complain('bus off: too many errors on the CAN bus')
-
-    def _on_bus_error(self, error: BaseException) -> None:
-        if self.network is not None:
-            self._lost = True
-            self.complain(f'the bus has gone: {" ".join(str(error).split())}')

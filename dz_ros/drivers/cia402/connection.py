@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 import logging
 import time
 from typing import Any
@@ -54,6 +55,26 @@ def connect(p: Cia402Parameters, *listeners: Any) -> Any:
         raise DriverError(f'no CAN bus at driver.interface = {p.interface!r}, driver.channel = '
                           f'{p.channel!r}: {reason}') from None
     return network
+
+
+def share(network: Any) -> Any:
+    """Return another canopen network on the bus of one that is connected, with its own receivers.
+
+    The bus is that of `network`, which alone is disconnected; `unshare` ends the other.
+    """
+    import canopen
+
+    found = canopen.Network(network.bus)
+    found.notifier, found.send_lock = network.notifier, network.send_lock
+    found.listeners[:] = [_standard_frames(found)]
+    network.notifier.add_listener(found.listeners[0])
+    return found
+
+
+def unshare(shared: Any) -> None:
+    """Receive no more for what `share` returned."""
+    with suppress(ValueError):
+        shared.notifier.remove_listener(shared.listeners[0])
 
 
 def _standard_frames(network: Any) -> Any:

@@ -5,8 +5,9 @@ Sources: CiA 301 (CANopen), CiA 402 / IEC 61800-7-201 (drives). What each part d
 
     states.py    the drive's state machine          objects.py      its objects and PDOs
     scaling.py   its numbers ↔ units of the plant   measurement.py  what is true of its answers
-    setup.py     its settings before it is used     bus.py          the bus, what the drive sends
+    setup.py     its settings before it is used     bus.py          the drive on its bus
     cycle.py     the thread that talks to it        sdo_watch.py    the thread that waits for it
+    shared_bus.py    the connection, of one drive or of those of several axes
 
 The safe state is the drive's own quick stop. Whatever the drive complains of (EMCY, fault, a
 heartbeat that stays away, a boot-up message, any NMT state but operational, another mode of
@@ -26,12 +27,13 @@ from typing import Any, TYPE_CHECKING
 
 from dz_ros.core.safety.health import Level, percentiles
 from dz_ros.drivers.cia402.bus import DriveBus
-from dz_ros.drivers.cia402.cycle import Cycle
+from dz_ros.drivers.cia402.cycle import DriveCycle
 from dz_ros.drivers.cia402.measurement import Measurement
 from dz_ros.drivers.cia402.objects import ERROR_CODE, MODES, TORQUE_DEMAND, VELOCITY_DEMAND
 from dz_ros.drivers.cia402.scaling import Scaling
 from dz_ros.drivers.cia402.sdo_watch import SdoWatch
-from dz_ros.drivers.cia402.settings import Cia402Parameters
+from dz_ros.drivers.cia402.settings import check_buses, Cia402Parameters
+from dz_ros.drivers.cia402.shared_bus import SharedBus
 from dz_ros.drivers.cia402.states import (
     DriveState,
     Goal,
@@ -45,6 +47,8 @@ from dz_ros.drivers.freshness import Freshness
 from dz_ros.errors import ConfigurationError, DriverError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from dz_ros.core.configuration import Configuration
     from dz_ros.core.records import Truth
     from dz_ros.core.safety.health import Report
@@ -58,10 +62,16 @@ STANDSTILL = 1.0
 class Cia402(Driver):
     """A CiA 402 servo drive with one axis.
 
+    Args:
+        parameters: Its own.
+        configuration: The whole configuration.
+        shared: Its bus, where that is shared with other axes.
+
     Attributes:
         scaling: Its numbers.
-        bus: The bus and what the drive sends, while open.
-        cycle: The thread that talks to it, while open.
+        shared: Its bus.
+        bus: The drive on the bus and what it sends, while open.
+        cycle: What is sent to it in each cycle, while open.
         sdo_watch: The thread that waits for it, while open.
         sample_at: When the newest sample ended [s].
     """
@@ -72,7 +82,8 @@ class Cia402(Driver):
     requires = ('can', 'canopen')
     Parameters = Cia402Parameters
 
-    def __init__(self, parameters: Any, configuration: Configuration) -> None:
+    def __init__(self, parameters: Any, configuration: Configuration,
+                 shared: SharedBus | None = None) -> None:
         super().__init__(parameters, configuration)
         order = configuration.plant.order
         if order > 2:
@@ -81,12 +92,33 @@ class Cia402(Driver):
         self._period = configuration.loop.period
         self._freshness = Freshness.of(STALE, configuration)
         self.scaling = Scaling.of(parameters)
+        self.shared = shared or SharedBus(parameters, self._period)
         self.bus: DriveBus | None = None
-        self.cycle: Cycle | None = None
+        self.cycle: DriveCycle | None = None
         self.sdo_watch: SdoWatch | None = None
         self._enabled = False
         self._samples = self._late = 0
         self.sample_at = -math.inf
+
+    @classmethod
+    def check_axes(cls, axes: Mapping[str, Configuration]) -> None:
+        """Check that drives on one bus can be.
+
+        Raises:
+            ConfigurationError: Two with one node id, or what concerns the bus differs.
+        """
+        check_buses({name: item.driver_parameters for name, item in axes.items()})
+
+    @classmethod
+    def for_axes(cls, each: Sequence[Configuration]) -> Sequence[Cia402]:
+        """Return the drivers of all axes; those of one interface and channel share the bus."""
+        buses: dict[tuple[str, str], SharedBus] = {}
+        made = []
+        for item in each:
+            p = item.driver_parameters
+            shared = buses.setdefault(p.bus, SharedBus(p, item.loop.period))
+            made.append(cls(p, item, shared))
+        return made
 
     @property
     def measured(self) -> int:
@@ -97,6 +129,12 @@ class Cia402(Driver):
     def resolution(self) -> float:
         """One count of its encoder [unit of x]."""
         return super().resolution or abs(self.scaling.position)
+
+    @property
+    def derivative_resolution(self) -> tuple[float, ...]:
+        """One number of its velocity [unit of x'], where that is taken."""
+        known = super().derivative_resolution
+        return known or ((abs(self.scaling.velocity),) if self.measured > 1 else ())
 
     @property
     def command_resolution(self) -> float:
@@ -117,13 +155,16 @@ class Cia402(Driver):
             MissingDependencyError: canopen or python-can is not installed.
             DriverError: No bus, no drive, or another one.
         """
-        self.bus = DriveBus(self.parameters, self._period)
+        self.bus = DriveBus(self.parameters, self._period, self.shared)
         self.bus.open()
         self.bus.configure()
         self._begin(self.bus)
 
     def enable(self) -> None:
         """Bring the drive to operation enabled, its target 0; a fault from before is reset.
+
+        Beside other drives of its bus, which are enabled before or after it, it is then stopped
+        until the loop commands it.
 
         Raises:
             DriverError: It does not get there.
@@ -149,6 +190,8 @@ class Cia402(Driver):
             cycle.want(Goal.OFF)
             raise DriverError(f'{bus.place}: {reason}{self._error_code()}')
         self._enabled = True
+        if self.shared.served > 1:
+            cycle.want(Goal.SAFE)
 
     def disable(self) -> None:
         """Take the voltage away, once the axis stands if a quick stop is under way.
@@ -239,7 +282,7 @@ class Cia402(Driver):
         bus, cycle = self._open()
         cycle.want(Goal.SAFE)
         if bus.broken:
-            bus = self._reconnect()
+            self._reconnect(bus)
         bus.look_for_restart()
         absolute, position = self.parameters.absolute_encoder, bus.position
         if (bus.restarted or position.lost) and (position.narrow or not absolute):
@@ -287,7 +330,7 @@ class Cia402(Driver):
 
     # Parts.
 
-    def _open(self) -> tuple[DriveBus, Cycle]:
+    def _open(self) -> tuple[DriveBus, DriveCycle]:
         if self.bus is None or self.cycle is None:
             raise DriverError('driver cia402 is not open')
         return self.bus, self.cycle
@@ -299,9 +342,8 @@ class Cia402(Driver):
 
     def _begin(self, bus: DriveBus) -> None:
         """Start the threads."""
-        self.cycle = cycle = Cycle(bus, self._period)
+        self.cycle = cycle = self.shared.serve(bus)
         self.sdo_watch = SdoWatch(bus, lambda: cycle.goal)
-        cycle.start()
         self.sdo_watch.start()
 
     def _end(self) -> None:
@@ -320,23 +362,13 @@ class Cia402(Driver):
             return ''
         return bus.deaf or f'the drive remains {_name(bus.state)}'
 
-    def _reconnect(self) -> DriveBus:
-        """Leave the bus that is gone and connect again."""
-        bus, _ = self._open()
-        fault = bus.fault
+    def _reconnect(self, bus: DriveBus) -> None:
+        """Leave the bus that is gone and connect again, with all its drives."""
         self._end()
-        bus.close()
-        fresh = DriveBus(self.parameters, self._period)
-        fresh.follow(bus)
-        self.bus = fresh
         try:
-            fresh.open()
-        except DriverError:
-            fresh.complain(fault)
-            raise
+            self.shared.reconnect()
         finally:
-            self._begin(fresh)
-        return fresh
+            self._begin(bus)
 
     def _leave_fault(self) -> None:
         """Reset the drive's fault.

@@ -9,11 +9,13 @@ process of its own on any bus python-can knows; on ``udp_multicast`` no hardware
 Faults come from the script, or while it runs from any master by SDO: the number of a fault in
 `FAULTS` into 2000h, after its value (e.g. the code of an EMCY) into 2001h and its duration in ms
 into 2002h.
+
+Several drives in one process (`EmulatedDrives`) share its connection to each bus.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import math
 import threading
@@ -22,11 +24,14 @@ from typing import Any
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.schema import parameter
+from dz_ros.drivers.cia402.connection import connect
 from dz_ros.drivers.cia402.node import DriveNode
 from dz_ros.drivers.cia402.settings import Cia402Parameters
 from dz_ros.drivers.emulators import Emulator, Fault
 from dz_ros.errors import ConfigurationError
 
+MOST_NODES = 126
+"""Node ids of CANopen but the master's."""
 OVERCURRENT = 0x2310
 FAULTS = {
     'emcy': 'EMCY and fault; VALUE: error code, 8976 = 2310h unless given',
@@ -68,6 +73,7 @@ class Cia402Emulator(Emulator):
 
     Attributes:
         node: The drive on the bus, while open.
+        tick: How often it looks at its watchdogs [s].
         pending: Faults of the script that have not begun.
         ends: What ends a fault that has begun: when [s], what to call, its name.
     """
@@ -87,7 +93,7 @@ class Cia402Emulator(Emulator):
             raise ConfigurationError('plant.model', configuration.plant.name, 'has order '
                                      f'{configuration.plant.order}, a drive has position and '
                                      'velocity')
-        self._tick = min(0.005, configuration.loop.period)
+        self.tick = min(0.005, configuration.loop.period)
         self.node: DriveNode | None = None
         self._moved_at: float | None = None
         self.pending = list(self.script)
@@ -95,8 +101,30 @@ class Cia402Emulator(Emulator):
         self._asked: list[Fault] = []
         self._lock = threading.Lock()
 
-    def open(self) -> str:
+    @classmethod
+    def of_axes(cls, parameters: Any, machine: Configuration, nodes: int,
+                faults: Sequence[Fault]) -> EmulatedDrives:
+        """Return the drives of all axes, or `nodes` equal ones with the node ids from 1 on.
+
+        Raises:
+            ConfigurationError: Another number than that of the axes, or an id that cannot be.
+        """
+        if machine.axes and nodes not in (0, len(machine.axes)):
+            raise ConfigurationError('--nodes', nodes, f'must be {len(machine.axes)}, that of '
+                                     'loop.axes, or left out')
+        if not 0 <= nodes <= MOST_NODES:
+            raise ConfigurationError('--nodes', nodes, f'must be from 1 to {MOST_NODES}')
+        each = dict(machine.axes) or {
+            str(node): machine.replace(**{'driver.node_id': node,
+                                          'loop.seed': machine.loop.seed + node - 1})
+            for node in range(1, nodes + 1)}
+        return EmulatedDrives(parameters, machine, each, faults)
+
+    def open(self, shared: Any = None) -> str:
         """Be on the bus; return where.
+
+        Args:
+            shared: canopen's network of that bus, where this process has it; None = connect.
 
         Raises:
             MissingDependencyError: canopen or python-can is not installed.
@@ -107,21 +135,28 @@ class Cia402Emulator(Emulator):
                                      self.parameters.quick_stop_exit,
                                      self.parameters.position_range,
                                      self.parameters.reports_range, self.ask)
-        node.open()
+        node.open(shared)
         p = self.configuration.driver_parameters
         return (f'simulated drive, node {p.node_id} on {p.interface} {p.channel}: '
                 f'{self.configuration.plant.name} behind a dead-zone')
 
     def run(self, stopping: Callable[[], bool], log: Callable[[str], None]) -> None:
         """Be the drive until `stopping` returns True."""
-        assert self.node is not None
-        node = self.node
-        node.log = log
         while not stopping():
-            time.sleep(self._tick)
-            node.tick()
-            self._look(node, time.monotonic(), log)
-        for line in node.summary():
+            time.sleep(self.tick)
+            self.step(log)
+        self.finish(log)
+
+    def step(self, log: Callable[[str], None]) -> None:
+        """Move on until now; log what happens."""
+        assert self.node is not None
+        self.node.log = log
+        self.node.tick()
+        self._look(self.node, time.monotonic(), log)
+
+    def finish(self, log: Callable[[str], None]) -> None:
+        """Log what it has seen."""
+        for line in self.node.summary() if self.node is not None else ():
             log(line)
 
     def close(self) -> None:
@@ -187,3 +222,78 @@ class Cia402Emulator(Emulator):
             'twice': (node, 'doubled', True), 'short': (node, 'shortened', True)}[item.name]
         setattr(owner, attribute, wrong)
         return lambda: setattr(owner, attribute, not wrong)
+
+
+class EmulatedDrives(Emulator):
+    """Simulated drives of several axes, each with its own motor.
+
+    Args:
+        parameters: Of each of them.
+        configuration: Of the machine.
+        each: Name → configuration of each drive.
+        faults: The script; the device of a fault is a name or a node id.
+
+    Attributes:
+        drives: Name → drive.
+
+    Raises:
+        ConfigurationError: A fault of a drive that there is not, or a configuration of no drive.
+    """
+
+    name, summary, faults = Cia402Emulator.name, Cia402Emulator.summary, FAULTS
+    Parameters = EmulatedParameters
+
+    def __init__(self, parameters: Any, configuration: Configuration,
+                 each: Mapping[str, Configuration], faults: Sequence[Fault] = ()) -> None:
+        super().__init__(parameters, configuration, faults)
+        self.drives: dict[str, Cia402Emulator] = {}
+        for name, own in each.items():
+            drive = Cia402Emulator(parameters, own)
+            names = ('', name, str(own.driver_parameters.node_id))
+            drive.pending = [item for item in faults if item.device in names]
+            self.drives[name] = drive
+        known = [str(item.configuration.driver_parameters.node_id)
+                 for item in self.drives.values()]
+        for item in faults:
+            if item.device not in ('', *self.drives, *known):
+                raise ConfigurationError('--fault', f'{item.device}:{item.name}', 'the drives are '
+                                         + ', '.join(dict.fromkeys((*self.drives, *known))))
+        self._networks: dict[tuple[str, str], Any] = {}
+
+    def open(self) -> str:
+        """Be on the bus; return where.
+
+        Raises:
+            MissingDependencyError: canopen or python-can is not installed.
+            DriverError: There is no such bus.
+        """
+        found = []
+        for name, drive in self.drives.items():
+            p = drive.configuration.driver_parameters
+            if p.bus not in self._networks:
+                self._networks[p.bus] = connect(p)
+            found.append(f'{name}: {drive.open(self._networks[p.bus])}')
+        return '\n'.join(found)
+
+    def run(self, stopping: Callable[[], bool], log: Callable[[str], None]) -> None:
+        """Be the drives until `stopping` returns True."""
+        logs = {name: _named(name, log) for name in self.drives}
+        tick = min(item.tick for item in self.drives.values())
+        while not stopping():
+            time.sleep(tick)
+            for name, drive in self.drives.items():
+                drive.step(logs[name])
+        for name, drive in self.drives.items():
+            drive.finish(logs[name])
+
+    def close(self) -> None:
+        """Leave the bus."""
+        for drive in self.drives.values():
+            drive.close()
+        for network in self._networks.values():
+            network.disconnect()
+
+
+def _named(name: str, log: Callable[[str], None]) -> Callable[[str], None]:
+    """Return what logs with the name of a drive before the text."""
+    return lambda text: log(f'{name}: {text}')

@@ -17,7 +17,7 @@ from typing import Any
 from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.cia402 import objects
 from dz_ros.drivers.cia402.bus import HEARTBEAT, NMT, RESET, START, STOP, SYNC
-from dz_ros.drivers.cia402.connection import connect
+from dz_ros.drivers.cia402.connection import connect, share
 from dz_ros.drivers.cia402.device import Device
 from dz_ros.drivers.cia402.motor import Motor
 from dz_ros.drivers.cia402.sdo import REQUEST
@@ -89,13 +89,15 @@ class DriveNode:
         self._answers: list[float] = []
         self._answered = True
         self.network: Any = None
+        self._shares = False
         self.canopen: Any = None
 
     # Lifecycle.
 
-    def open(self) -> None:
-        """Connect to the bus and boot."""
-        self.network = network = connect(self._parameters)
+    def open(self, shared: Any = None) -> None:
+        """Connect to the bus, beside other drives of this process if they have it, and boot."""
+        self._shares = shared is not None
+        self.network = network = share(shared) if self._shares else connect(self._parameters)
         send, notify = network.send_message, network.notify
         # A node that is off the bus is a network that does neither.
         network.send_message = lambda *a, **k: None if self.off else send(*a, **k)
@@ -110,7 +112,7 @@ class DriveNode:
             self.off = True
             if self.canopen is not None:
                 self.canopen.nmt.stop_heartbeat()
-        if self.network is not None:
+        if self.network is not None and not self._shares:
             self.network.disconnect()
 
     def boot(self) -> None:

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 import math
 
+from dz_ros.core.axes_keys import axis_key
 from dz_ros.core.schema import parameter
 from dz_ros.errors import ConfigurationError
 
@@ -124,6 +126,11 @@ class Cia402Parameters:
                                      'is more than 32 bits hold: lower it or velocity_counts')
 
     @property
+    def bus(self) -> tuple[str, str]:
+        """Interface and channel: drives with the same ones are on one bus."""
+        return self.interface, self.channel
+
+    @property
     def options(self) -> dict[str, int | float | bool | str]:
         """`bus_options` as values: numbers and true, false where they look like it."""
         found: dict[str, int | float | bool | str] = {}
@@ -131,6 +138,43 @@ class Cia402Parameters:
             name, _, text = option.partition('=')
             found[name] = _value(text)
         return found
+
+
+OF_THE_BUS = ('bitrate', 'bus_options', 'master_id', 'heartbeat', 'sync_lead')
+"""Parameters that the drives of one bus have in common: there is one connection, SYNC, master."""
+
+
+def check_buses(axes: Mapping[str, Cia402Parameters]) -> None:
+    """Check that the drives of axes which name the same bus can be on it together.
+
+    Args:
+        axes: Name → parameters.
+
+    Raises:
+        ConfigurationError: Two have one node id, one has that of the master, or what concerns the
+            bus differs.
+    """
+    buses: dict[tuple[str, str], dict[int, tuple[str, Cia402Parameters]]] = {}
+    for name, p in axes.items():
+        nodes = buses.setdefault(p.bus, {})
+        place = f'{p.interface} {p.channel}'
+        for first, other in nodes.values():
+            for key in OF_THE_BUS:
+                value, wanted = getattr(p, key), getattr(other, key)
+                if value != wanted:
+                    raise ConfigurationError(
+                        axis_key(name, f'driver.{key}'), _plain(value), f'must be '
+                        f'{_plain(wanted)!r} as of axis {first}: both are on {place}, which has '
+                        'one connection, one SYNC and one master')
+        if p.node_id in nodes:
+            raise ConfigurationError(
+                axis_key(name, 'driver.node_id'), p.node_id, 'must differ from that of axis '
+                f'{nodes[p.node_id][0]}: both are on {place}')
+        nodes[p.node_id] = (name, p)
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
 
 
 def _value(text: str) -> int | float | bool | str:

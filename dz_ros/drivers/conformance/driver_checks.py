@@ -4,7 +4,7 @@
 `check_contract` opens the driver, runs it at the loop's rate with commands of at most `amplitude`,
 and checks each sentence of ``drivers/contract.py``. What reached the device is known by
 `applied_command` alone; what cannot be seen is reported as unseen, never passed. Of a slow call
-only the time in which the machine ran its processes counts (``machine.py``). The second half,
+only the time in which the machine let it run counts (``machine.py``). The second half,
 through topics, is ``nodes/check_node.py``.
 
 Over 300 lines: one function for each sentence of the contract.
@@ -12,15 +12,18 @@ Over 300 lines: one function for each sentence of the contract.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 import math
 import time
+from typing import Any
 
 from dz_ros.core import schema
 from dz_ros.core.configuration import Configuration
-from dz_ros.drivers.conformance.machine import lateness, MachineWatch, overlap
+from dz_ros.drivers.conformance.machine import lateness, MachineWatch, overlap, RunQueue
 from dz_ros.drivers.conformance.result import Result
+from dz_ros.drivers.contract import Driver
 from dz_ros.drivers.hosted import checked, error_text, HostedDriver
+from dz_ros.drivers.hosted_axes import HostedDrivers
 from dz_ros.errors import DriverError, DzRosError
 
 RUN_DURATION = 1.0
@@ -43,14 +46,18 @@ def wave(phase: float) -> float:
 class _Subject:
     """The driver under test, and the loop's time."""
 
-    def __init__(self, configuration: Configuration, stopped: Callable[[], str]) -> None:
+    def __init__(self, configuration: Configuration, stopped: Callable[[], str],
+                 hosted: Any) -> None:
         self.stopped = stopped
-        self.hosted = HostedDriver(configuration)
+        self.hosted = hosted
         self.driver = self.hosted.driver
         self.period = configuration.loop.period
         self.t = 0.0
         self.seq = 0
-        self.safe_command = configuration.safety.safe_command
+        safe = tuple(item.safety.safe_command for item in configuration.each)
+        each = getattr(hosted, 'each', (hosted,))
+        self.measured = ' and '.join(str(item.measured) for item in each)
+        self.safe_command: Any = safe if configuration.axes else safe[0]
 
     def start(self) -> None:
         """Open and enable it, and wait for its first measurement."""
@@ -68,7 +75,7 @@ class _Subject:
 
     def stop(self) -> str:
         """Disable and close it; return what went wrong."""
-        return self.hosted.disable(self.safe_command, self.t) or self.hosted.close()
+        return str(self.hosted.disable(self.safe_command, self.t) or self.hosted.close())
 
     def samples(self, count: int) -> Iterator[int]:
         """Yield at the loop's rate, at absolute deadlines; each sample is ended."""
@@ -86,6 +93,13 @@ class _Subject:
         if reason := self.stopped():
             raise DriverError(reason)
 
+    def from_safe(self, amplitude: Any, share: float) -> Any:
+        """Return the safe command with a share of an amplitude added, of each axis."""
+        if isinstance(self.safe_command, tuple):
+            return tuple(own + more * share for own, more in
+                         zip(self.safe_command, amplitude, strict=True))
+        return self.safe_command + amplitude * share
+
     def give(self, v: float, safe: bool = False) -> None:
         """Give a command for some samples."""
         for _ in self.samples(SETTLING_SAMPLES):
@@ -102,7 +116,8 @@ class _Subject:
 
 
 def check_contract(configuration: Configuration, amplitude: float, saturate: bool,
-                   stopped: Callable[[], str] = str) -> Iterator[Result]:
+                   stopped: Callable[[], str] = str,
+                   driver: Driver | None = None) -> Iterator[Result]:
     """Yield the result of each check, in order; the device is let go at the end.
 
     Args:
@@ -110,12 +125,13 @@ def check_contract(configuration: Configuration, amplitude: float, saturate: boo
         amplitude: Largest command but for `saturate` [command unit].
         saturate: Whether a command beyond the limit may be sent, so that the limit acts.
         stopped: Returns why to stop, '' = go on; asked in every sample.
+        driver: The driver, where it was made together with those of other axes.
 
     Raises:
         ConfigurationError: The driver cannot be made of this configuration.
         DriverError: `stopped` gave a reason; the safe command has gone out.
     """
-    subject = _Subject(configuration, stopped)
+    subject = _Subject(configuration, stopped, HostedDriver(configuration, driver))
     yield _guarded(subject, 'declaration', 'complete',
                    lambda: _declaration(subject, configuration))
     try:
@@ -133,6 +149,36 @@ def check_contract(configuration: Configuration, amplitude: float, saturate: boo
         yield _guarded(subject, 'stop and reset', 'acts again', lambda: _reset(subject, amplitude))
         yield _guarded(subject, 'restart', 'measures again', lambda: _restart(subject))
         yield _guarded(subject, 'reconnect', 'measures again', lambda: _reconnect(subject))
+    finally:
+        subject.stop()
+
+
+def check_together(machine: Configuration, amplitudes: Sequence[float],
+                   stopped: Callable[[], str] = str) -> Iterator[Result]:
+    """Yield what the drivers of all axes do as their host holds them: opened, moved, let go.
+
+    Args:
+        machine: Names the drivers.
+        amplitudes: Largest command of each axis [command unit].
+        stopped: As of `check_contract`.
+
+    Raises:
+        ConfigurationError: As of `check_contract`.
+        DriverError: As of `check_contract`.
+    """
+    subject = _Subject(machine, stopped, HostedDrivers(machine))
+    try:
+        opened = _guarded(subject, 'opens', 'a measurement', lambda: _opens(subject))
+        yield opened
+        if not opened.passed:
+            return
+        try:
+            with MachineWatch() as watch:
+                yield from _runs(subject, amplitudes, watch)
+        except Exception as error:  # noqa: BLE001  a driver's code may raise anything
+            subject.check_stop()
+            yield Result('no fault', False, 'lost', 'none', _words(error))
+        yield _guarded(subject, 'restart', 'measures again', lambda: _restart(subject))
     finally:
         subject.stop()
 
@@ -185,31 +231,32 @@ def _started(subject: _Subject) -> float:
     return time.monotonic() - began
 
 
-def _runs(subject: _Subject, amplitude: float, watch: MachineWatch) -> Iterator[Result]:
+def _runs(subject: _Subject, amplitude: Any, watch: MachineWatch) -> Iterator[Result]:
     """Run at the rate with a slow wave of commands: measurements, time of calls, fault."""
     count = max(round(RUN_DURATION / subject.period), 50)
-    hosted, missed = subject.hosted, subject.hosted.missed
+    hosted, missed = subject.hosted, 0
     calls, fault = [], ''
     watch.stalls()
-    for k in subject.samples(count):
-        started = time.monotonic()
-        hosted.command(subject.safe_command + amplitude * wave(k / count), subject.t)
-        hosted.measure(subject.t)
-        fault = fault or hosted.fault()
-        calls.append((started, time.monotonic()))
+    with RunQueue() as queue:
+        for k in subject.samples(count):
+            waited, started = queue.waited(), time.monotonic()
+            hosted.command(subject.from_safe(amplitude, wave(k / count)), subject.t)
+            missed += hosted.measure(subject.t) is None
+            fault = fault or hosted.fault()
+            calls.append((started, time.monotonic(), queue.waited() - waited))
     stalls = watch.stalls()
-    missed = hosted.missed - missed
     least = math.ceil(LEAST_MEASURED_SHARE * count)
     yield Result('measurement', count - missed >= least, f'{count - missed} of {count} samples',
                  f'>= {least}', '' if count - missed >= least else
                  '; '.join(filter(None, (
-                     f'{missed} samples without a measurement of {subject.hosted.measured} finite '
+                     f'{missed} samples without a measurement of {subject.measured} finite '
                      'numbers', lateness(stalls)))))
     half = 0.5 * subject.period
-    slow = [(begin, end) for begin, end in calls if end - begin > half]
-    own = sum(end - begin - overlap(stalls, begin, end) > half for begin, end in slow)
+    slow = [call for call in calls if call[1] - call[0] > half]
+    own = sum(end - begin - max(waited, overlap(stalls, begin, end)) > half
+              for begin, end, waited in slow)
     more = f' and {len(slow) - own} while the machine was late' if len(slow) > own else ''
-    longest = max(end - begin for begin, end in calls)
+    longest = max(end - begin for begin, end, _ in calls)
     allowed = max(3, round(MOST_SLOW_SHARE * count))
     yield Result('answers at once', own <= allowed,
                  f'longest {longest * 1e3:.3f} ms, {own} samples beyond half a period{more}',

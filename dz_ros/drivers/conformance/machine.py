@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the machine, not the driver, was late: a process that only waits, and how late it wakes.
+"""Whether the machine, not the driver, was late: by its scheduler, and by a process that waits.
 
 A sample that a driver answers late proves nothing while the machine does not run its processes.
 `MachineWatch` starts a process of its own, which waits for a millisecond again and again: where
 it is woken late, so may be anything else. It shares no interpreter with the driver, so a driver
-that blocks is not mistaken for the machine.
+that blocks is not mistaken for the machine. `RunQueue` knows of one thread alone for how long it
+could have run and was not let, which the first sees only where every core is as busy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+import os
 import subprocess
 import sys
 from types import TracebackType
@@ -79,6 +81,34 @@ class MachineWatch:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
                  trace: TracebackType | None) -> None:
         self.close()
+
+
+class RunQueue:
+    """How long this thread was ready to run while others ran; a context manager.
+
+    Where the system does not report it, that is 0.
+    """
+
+    def __init__(self) -> None:
+        try:
+            self._file = os.open('/proc/thread-self/schedstat', os.O_RDONLY | os.O_CLOEXEC)
+        except OSError:
+            self._file = -1
+
+    def waited(self) -> float:
+        """Return the time since the thread began, as of proc(5), schedstat [s]."""
+        try:
+            return int(os.pread(self._file, 100, 0).split()[1]) * 1e-9
+        except (OSError, ValueError, IndexError):
+            return 0.0
+
+    def __enter__(self) -> RunQueue:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        if self._file >= 0:
+            os.close(self._file)
 
 
 def overlap(stalls: Iterable[Stall], begin: float, end: float) -> float:

@@ -6,13 +6,15 @@
     SAFE, RUN ──DISABLE──▶ DISABLED                    FAULT, ESTOP ──RESET──▶ DISABLED
 
 RUN gives no power: only SAFE does, so that a command that comes late to a session moves nothing.
-FAULT and ESTOP are latched: only RESET leaves them, FAULT only once its cause has gone. The same
-machine, in C for a microcontroller, is ``examples/firmware/dz_device.c``.
+FAULT and ESTOP are latched: only RESET leaves them, FAULT only once its cause has gone. Of several
+motors all have the one mode: a fault of one takes the power of all. The same machine, in C for a
+microcontroller, is ``examples/firmware/dz_device.c``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from dz_ros.drivers.serial.framing import pack, Receiver
 from dz_ros.drivers.serial.protocol import (
@@ -27,8 +29,8 @@ from dz_ros.drivers.serial.protocol import (
     State,
 )
 
-MIN_PERIOD_US = 200
-"""Shortest interval between states, whatever a host asks for [µs]."""
+MIN_PERIOD_US, MAX_PERIOD_US = 200, 2 ** 31 - 1
+"""Shortest and longest interval between states, whatever a host asks for [µs]."""
 IDLE_PERIOD_US = 100_000
 """Interval between states before the first greeting [µs]."""
 
@@ -38,8 +40,9 @@ class Device:
 
     Args:
         info: What it is; its session is ignored.
-        measure: Returns the values now [counts] and a fault code, 0 = none.
-        actuate: Takes what the actuator is to do [counts]; None = no power.
+        measure: Returns the values of each motor now [counts], shape (motors, values), and their
+            fault codes, 0 = none, shape (motors,).
+        actuate: Takes what the motors are to do [counts], shape (motors,); None = no power.
 
     Attributes:
         mode: What it does.
@@ -48,8 +51,9 @@ class Device:
         seq: Of the newest state sent.
     """
 
-    def __init__(self, info: Info, measure: Callable[[], tuple[Sequence[int], int]],
-                 actuate: Callable[[int | None], None]) -> None:
+    def __init__(self, info: Info,
+                 measure: Callable[[], tuple[Sequence[Sequence[int]], Sequence[int]]],
+                 actuate: Callable[[tuple[int, ...] | None], None]) -> None:
         self.mode = Mode.DISABLED
         self.trips = 0
         self._info = info
@@ -62,9 +66,9 @@ class Device:
         self.seq = 0
         self._echo = 0
         self._fresh = True      # no command of this session yet
-        self._safe = 0
+        self._safe = (0,) * info.motors
         self._good_until = 0
-        self._fault = 0
+        self._faults = self._safe
         self._actuate(None)
 
     def step(self, received: bytes, now: int) -> bytes:
@@ -75,6 +79,8 @@ class Device:
                 frame = decode(body)
             except FrameError:
                 continue
+            if frame.motors != self._info.motors:
+                continue
             if isinstance(frame, Hello):
                 sent += self._greet(frame, now)
             elif isinstance(frame, Command):
@@ -83,9 +89,10 @@ class Device:
             if self.mode is Mode.RUN:
                 self.trips += 1
             self._enter(Mode.SAFE)
-        values, fault = self._measure()
-        if fault and self.mode is not Mode.ESTOP:
-            self._fault = fault
+        values, codes = self._measure()
+        if any(codes) and self.mode is not Mode.ESTOP:
+            self._faults = tuple(code or before for code, before
+                                 in zip(codes, self._faults, strict=True))
             self._enter(Mode.FAULT)
         if self.seq == 0 or now >= self.due:
             self.due += self._period
@@ -93,7 +100,8 @@ class Device:
                 self.due = now + self._period
             self.seq = (self.seq + 1) % 2 ** 32
             sent += pack(State(self._session, self.seq, now % 2 ** 32, self._echo, self.mode,
-                               self.trips % 256, self._fault, tuple(values)).body())
+                               self.trips % 256, self._faults,
+                               tuple(map(tuple, values))).body())
         return sent
 
     def _greet(self, hello: Hello, now: int) -> bytes:
@@ -104,11 +112,9 @@ class Device:
             self._echo = 0
             if self.mode in (Mode.RUN, Mode.SAFE):
                 self._enter(Mode.DISABLED)
-        self._period = max(hello.period_us, MIN_PERIOD_US)
+        self._period = min(max(hello.period_us, MIN_PERIOD_US), MAX_PERIOD_US)
         self.due = now
-        info = self._info
-        return pack(Info(self._session, info.values, info.limit, info.command_scale,
-                         info.state_scales, info.name).body())
+        return pack(replace(self._info, session=self._session).body())
 
     def _take(self, command: Command, now: int) -> None:
         """Do what a command asks, if it is of this session and newer than the newest."""
@@ -125,7 +131,7 @@ class Device:
             self._enter(Mode.ESTOP)
         elif self.mode in (Mode.FAULT, Mode.ESTOP):
             if request is Request.RESET:
-                self._fault = 0
+                self._faults = (0,) * self._info.motors
                 self._enter(Mode.DISABLED)      # a fault that lasts is back before the next state
         elif request is Request.RUN and self.mode is not Mode.DISABLED:
             self._enter(Mode.RUN, self._clip(command.v))
@@ -134,10 +140,11 @@ class Device:
         elif request is Request.DISABLE:
             self._enter(Mode.DISABLED)
 
-    def _enter(self, mode: Mode, v: int = 0) -> None:
-        """Take a mode and give the actuator what belongs to it."""
+    def _enter(self, mode: Mode, v: tuple[int, ...] = ()) -> None:
+        """Take a mode and give the motors what belongs to it."""
         self.mode = mode
         self._actuate(v if mode is Mode.RUN else self._safe if mode is Mode.SAFE else None)
 
-    def _clip(self, counts: int) -> int:
-        return min(max(counts, -self._info.limit), self._info.limit)
+    def _clip(self, counts: Sequence[int]) -> tuple[int, ...]:
+        return tuple(min(max(count, -motor.limit), motor.limit)
+                     for count, motor in zip(counts, self._info.each, strict=True))

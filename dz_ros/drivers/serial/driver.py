@@ -4,21 +4,21 @@
     v [actuator unit] = command_scale · counts        x^(i) = state_scales[i] · counts
 
 The device sends its state at a rate of its own, faster than the loop; each sample takes the
-newest. Each command carries how long it is valid, by default as long as the host
-itself holds one (`safety.command_hold`), so that the device goes to the safe command on its own
-where this process, the line or the machine has died.
+newest. Each command carries how long it is valid, by default as long as the host itself holds one
+(`safety.command_hold`), so that the device goes to the safe command on its own where this process,
+the line or the machine has died.
+
+The axes at one port are the motors of one device and share its `board`: what is measured of a
+sample is of one state, a fault of one motor stops all and is reported by its own axis.
 
 A device that falls silent, repeats itself, restarts, is unplugged or does something else than
 it was asked (`state_monitor`) is a fault until the operator resets, also if it is back within a
 sample: it must not be given power again by a reconnection.
-
-Over 300 lines: the whole contract of a driver.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-import contextlib
+from collections.abc import Callable, Mapping, Sequence
 import math
 import time
 from typing import Any
@@ -27,32 +27,28 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.safety.health import Level, Report
 from dz_ros.drivers.contract import Driver
 from dz_ros.drivers.freshness import Freshness
-from dz_ros.drivers.serial.framing import CRC_SIZE
+from dz_ros.drivers.serial.board import Board, RefusedError
 from dz_ros.drivers.serial.link import Link
 from dz_ros.drivers.serial.protocol import (
     COUNT_LIMIT,
-    Info,
     MAX_HOLD_MS,
-    MAX_VALUES,
     Mode,
+    MotorInfo,
     Request,
-    State,
 )
-from dz_ros.drivers.serial.settings import SerialParameters
-from dz_ros.drivers.serial.state_monitor import Wish
-from dz_ros.errors import ConfigurationError, DriverError
-
-ANSWER = 0.5
-"""A device that is there does what it is asked within this [s]."""
-BITS = 10
-"""Bits on the line for a byte: start, eight, stop."""
+from dz_ros.drivers.serial.settings import check_device, measured_of, SerialParameters
+from dz_ros.errors import DriverError
 
 
 class Serial(Driver):
-    """A microcontroller on a serial line.
+    """A motor of a microcontroller on a serial line.
+
+    Args:
+        board: The device, where axes share it; None = it is this axis' own.
+        motor: Which of its motors.
 
     Attributes:
-        link: The line.
+        motor: Which motor of the device.
         hold_ms: How long the device holds a command [ms].
     """
 
@@ -62,41 +58,75 @@ class Serial(Driver):
     requires = ('serial',)
     Parameters = SerialParameters
 
-    def __init__(self, parameters: Any, configuration: Configuration) -> None:
+    def __init__(self, parameters: Any, configuration: Configuration,
+                 board: Board | None = None, motor: int = 0) -> None:
         super().__init__(parameters, configuration)
-        p, order = parameters, configuration.plant.order
-        if self.measured > order or order > MAX_VALUES:
-            raise ConfigurationError('driver.measured', p.measured, f'must be at most {order}, '
-                                     f'and a plant of order {MAX_VALUES} at most')
-        if p.state_scales and len(p.state_scales) != self.measured:
-            raise ConfigurationError('driver.state_scales', list(p.state_scales), 'must have '
-                                     f'{self.measured} numbers, one for each value measured')
-        if p.device_rate < configuration.loop.rate:
-            raise ConfigurationError('driver.device_rate', p.device_rate, 'must be at least '
-                                     f'loop.rate = {configuration.loop.rate:g} Hz')
-        share = p.device_rate * BITS * _on_the_line(self.measured) / p.baudrate
-        if share > 0.9:
-            raise ConfigurationError('driver.device_rate', p.device_rate, 'needs '
-                                     f'{share:.0%} of a line of driver.baudrate = {p.baudrate}; '
-                                     'it must be at most 90 %')
-        self.link = Link(p.port, p.baudrate, round(1e6 / p.device_rate), p.silence)
-        self._info: Info | None = None
-        self._command_scale = 1.0
+        if board is None:
+            check_device({'': configuration})
+        self.motor = motor
+        self._board = Board([configuration]) if board is None else board
+        self._board.axes[motor] = self
         self._scales: tuple[float, ...] = ()
-        self._powered = False
         self.configure(configuration)
+
+    @classmethod
+    def check_axes(cls, axes: Mapping[str, Configuration]) -> None:
+        """Check that axes at one port can be the motors of one device.
+
+        Raises:
+            ConfigurationError: They cannot.
+        """
+        names = tuple(axes)
+        for places in _ports(tuple(axes.values())).values():
+            check_device({names[place]: axes[names[place]] for place in places})
+
+    @classmethod
+    def for_axes(cls, each: Sequence[Configuration]) -> Sequence[Serial]:
+        """Return the drivers of axes; those with the same port share a device."""
+        made: dict[int, Serial] = {}
+        for places in _ports(each).values():
+            board = Board([each[place] for place in places])
+            for place, motor in zip(places, board.motors, strict=True):
+                made[place] = cls(each[place].driver_parameters, each[place], board, motor)
+        return [made[place] for place in range(len(each))]
+
+    @property
+    def link(self) -> Link:
+        """The line."""
+        return self._board.link
+
+    @property
+    def _info(self) -> MotorInfo | None:
+        """What the device states of the motor; None before it did."""
+        info = self.link.info
+        return None if info is None else info.each[self.motor]
+
+    @property
+    def _command_scale(self) -> float:
+        """Actuator unit of a count of v."""
+        return self.parameters.command_scale or (
+            1.0 if self._info is None else self._info.command_scale)
 
     @property
     def measured(self) -> int:
         """How many of x, x', … are taken from the device."""
-        return self.parameters.measured or self.configuration.plant.order
+        return measured_of(self.configuration)
+
+    @property
+    def resolution(self) -> float:
+        """One count of x [unit of x]; 0 = what the device states, once open."""
+        return super().resolution or next(iter(self._scales or self.parameters.state_scales), 0.0)
+
+    @property
+    def derivative_resolution(self) -> tuple[float, ...]:
+        """One count of x', x'', … [state units]; empty = what the device states, once open."""
+        known = (self._scales or self.parameters.state_scales)[:self.measured]
+        return super().derivative_resolution or known[1:]
 
     @property
     def command_resolution(self) -> float:
         """One count of the command [actuator unit]; 0 = what the device states, once open."""
-        known = self.parameters.command_scale
-        if self._info is not None:
-            known = self._command_scale
+        known = self.parameters.command_scale if self._info is None else self._command_scale
         return super().command_resolution or known
 
     @property
@@ -125,14 +155,12 @@ class Serial(Driver):
             MissingDependencyError: pyserial is not installed.
         """
         p = self.parameters
-        info = self.link.open(p.patience)
+        info = self._board.open(self.motor)
         if info.values < self.measured:
             raise DriverError(f'{p.port}: {info.name!r} measures {info.values} of the '
                               f'{self.measured} values wanted: set driver.measured to '
                               f'{info.values}')
-        self._command_scale = p.command_scale or info.command_scale
-        self._scales = (p.state_scales or info.state_scales)[:self.measured]
-        self._info = info
+        self._scales = (p.state_scales or info.each[self.motor].state_scales)[:self.measured]
 
     def enable(self) -> None:
         """Have power on, at the safe command; a fault from before that has gone is reset.
@@ -141,56 +169,52 @@ class Serial(Driver):
             DriverError: The device refuses, has a fault, its fault lasts, or its e-stop is
                 pressed: that one only `recover` lifts.
         """
-        self._accept()
-        if self._mode() is Mode.FAULT:
-            self._ask(Request.RESET, (Mode.DISABLED, Mode.SAFE), 'leave its fault')
-        if self.fault():
-            raise DriverError(f'{self.parameters.port}: {self.fault()}')
-        self._give_power()
-        self._powered = True
+        self._ask(self._board.enable)
 
     def disable(self) -> None:
         """Take power away; a device that does not receive it holds the safe command by itself."""
-        self._powered = False
-        with contextlib.suppress(DriverError):  # it is not there, and its watchdog has acted
-            self._ask(Request.DISABLE, (Mode.DISABLED, Mode.FAULT, Mode.ESTOP), 'give power off')
+        self._ask(self._board.disable)
 
     def close(self) -> None:
         """Let go of the port."""
-        self.link.close()
+        self._board.close(self.motor)
 
     # Each sample.
 
     def command(self, v: float, t: float) -> None:  # noqa: ARG002
         """Have the newest command sent; only a device without a fault gets the request to run."""
-        if self._powered:
+        if self._board.powered:
             running = Request.SAFE if self.fault() else Request.RUN
-            self.link.send(self._wish(running, v, self.configuration.safety.safe_command))
+            self._board.command(self.motor, running, self._counts(v), self.safe_count())
 
     def safe(self, v: float, t: float) -> None:  # noqa: ARG002
         """Have the device hold the safe command v."""
-        if self._powered:
-            self.link.send(self._wish(Request.SAFE, v, v))
+        if self._board.powered:
+            self._board.command(self.motor, Request.SAFE, self._counts(v), self._counts(v))
+
+    def safe_count(self) -> int:
+        """Return the safe command [counts]."""
+        return self._counts(self.configuration.safety.safe_command)
 
     def measure(self) -> tuple[float, ...] | None:
         """Return the newest measurement, shape (measured,); None where none is fresh."""
-        found = self.link.newest()
+        found = self._board.once(self.motor, self.link.newest)
         if found is None or not self._freshness.holds(found[1]):
             return None
-        if len(found[0].values) < len(self._scales):
+        counts = found[0].values[self.motor]
+        if len(counts) < len(self._scales):
             return None
-        return tuple(scale * counts for scale, counts in zip(self._scales, found[0].values,
-                                                             strict=False))
+        return tuple(scale * count for scale, count in zip(self._scales, counts, strict=False))
 
     def fault(self) -> str:
-        """Return what is wrong with line or device."""
+        """Return what is wrong with line, device or motor; a fault of another one is not."""
         if self.link.fault:
             return self.link.fault
         found, stale = self.link.newest(), self.link.monitor.stale
         if found is not None and stale and self._freshness.lost(found[1]):
             return stale
         if found is not None and found[0].mode is Mode.FAULT:
-            return f'the device reports fault {found[0].fault}'
+            return self._board.trip(self.motor, found[0].faults)
         if found is not None and found[0].mode is Mode.ESTOP:
             return 'the e-stop of the device is latched: release it, then reset'
         return ''
@@ -201,11 +225,7 @@ class Serial(Driver):
         Raises:
             DriverError: It is not there, its fault lasts, or its position is lost.
         """
-        self._accept()
-        if self._mode() in (Mode.FAULT, Mode.ESTOP):
-            self._ask(Request.RESET, (Mode.DISABLED, Mode.SAFE), 'leave its fault')
-        if self._powered:
-            self._give_power()
+        self._ask(self._board.recover)
 
     def applied_command(self) -> float | None:
         """Return what the device holds, by its mode and the newest command it has taken."""
@@ -216,90 +236,57 @@ class Serial(Driver):
             return 0.0      # no power
         if wish is None:
             return None
-        return self._command_scale * (wish.v if found[0].mode is Mode.RUN else wish.safe)
+        return self._command_scale * (wish.v if found[0].mode is Mode.RUN
+                                      else wish.safe)[self.motor]
 
     @property
     def refused(self) -> Mapping[str, int]:
-        """Damaged frames, frames and states that were not taken, by cause."""
-        return self.link.refused.counts
+        """Damaged frames, frames and states not taken, by cause; motor 0 has those of all."""
+        return self.link.refused.counts if self.motor == 0 else {}
 
     def report(self, report: Report) -> None:
-        """Add device, rate, damage on the line and trips of the watchdog."""
-        report.put('device', None if self._info is None else self._info.name)
+        """Add the fault of the motor, and once for all motors what is known of device and line."""
         found = self.link.newest()
+        if self.motor == 0:
+            report.put('device', None if self.link.info is None else self.link.info.name)
+            if found is not None:
+                report.put('device mode', found[0].mode.name.lower())
         if found is not None:
-            report.put('device mode', found[0].mode.name.lower())
-            report.put('device fault', found[0].fault, 'd')
-            report.put('trips of its watchdog', found[0].trips, 'd')
-            report.put('age of the state [ms]', (time.monotonic() - found[1]) * 1e3, '.3f')
-        monitor = self.link.monitor
-        report.put('command to answer max [ms]', monitor.slowest * 1e3, '.3f')
-        monitor.slowest = 0.0
-        for what, count in self.link.counts.items():
-            report.put(f'line: {what}', count, 'd')
+            report.put('device fault', found[0].faults[self.motor], 'd')
+        if self.motor == 0:
+            if found is not None:
+                report.put('trips of its watchdog', found[0].trips, 'd')
+                report.put('age of the state [ms]', (time.monotonic() - found[1]) * 1e3, '.3f')
+            monitor = self.link.monitor
+            report.put('command to answer max [ms]', monitor.slowest * 1e3, '.3f')
+            monitor.slowest = 0.0
+            for what, count in self.link.counts.items():
+                report.put(f'line: {what}', count, 'd')
         if self.fault():
             report.summarize(Level.ERROR, self.fault())
 
-    # Requests to the device.
-
-    def _mode(self) -> Mode | None:
-        """Return the device's newest mode; None where nothing is known."""
-        found = self.link.newest()
-        return None if found is None else found[0].mode
-
-    def _accept(self) -> None:
-        """Take the device that is there for the one to work with.
-
-        Raises:
-            DriverError: There is none, or it has lost its position.
-        """
-        self.link.mend()
-        if self.link.monitor.restarted and not self.parameters.absolute_encoder:
-            raise DriverError(f'{self.parameters.port}: the device has restarted and its position '
-                              'is lost (driver.absolute_encoder = false): home it, then start '
-                              'the loop again')
-
-    def _give_power(self) -> None:
-        """Have power on, at the safe command, in this session of the line.
-
-        Raises:
-            DriverError: The device refuses.
-        """
-        self.link.grant()
-        self._ask(Request.SAFE, (Mode.SAFE,), 'take power')
-
-    def _wish(self, request: Request, v: float, safe: float) -> Wish:
-        return Wish(request, self._counts(v), self._counts(safe), self.hold_ms)
-
     def _counts(self, v: float) -> int:
-        """Return a command in counts, within what the device takes."""
+        """Return a command in counts, within what the motor takes."""
         limit = COUNT_LIMIT if self._info is None else self._info.limit
         return round(min(max(v / self._command_scale, -limit), limit))
 
-    def _ask(self, request: Request, wanted: tuple[Mode, ...], what: str) -> None:
-        """Ask until the device has taken the request and is in one of the modes.
+    def _ask(self, work: Callable[[], None]) -> None:
+        """Have something done for all axes of the device, once.
 
         Raises:
-            DriverError: It is not, in time.
+            DriverError: It is not done, and not because of another axis' motor.
         """
-        give_up = time.monotonic() + ANSWER
-        safe = self.configuration.safety.safe_command
-
-        asked = time.monotonic()
-
-        def done() -> bool:
-            found, taken = self.link.newest(), self.link.taken()
-            return (found is not None and found[1] > asked and found[0].mode in wanted
-                    and taken is not None and taken.request is request)
-
-        while time.monotonic() < give_up:
-            self.link.send(self._wish(request, safe, safe))
-            if self.link.wait(done, 0.05):
-                return
-        raise DriverError(f'{self.parameters.port}: the device does not {what}: '
-                          f'{self.fault() or "no answer"}')
+        try:
+            self._board.once(self.motor, work)
+        except RefusedError as error:
+            why = self.fault()
+            if why or not self._board.fault():
+                raise DriverError(f'{self.link.port}: {error.what}{why or "no answer"}') from None
 
 
-def _on_the_line(values: int) -> int:
-    """Return the bytes of a state on the line: body, CRC, overhead of COBS, end."""
-    return State.LAYOUT.size + 4 * values + CRC_SIZE + 2
+def _ports(each: Sequence[Configuration]) -> dict[str, list[int]]:
+    """Return port → places of the axes there."""
+    found: dict[str, list[int]] = {}
+    for place, item in enumerate(each):
+        found.setdefault(item.driver_parameters.port, []).append(place)
+    return found

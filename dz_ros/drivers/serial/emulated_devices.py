@@ -7,7 +7,9 @@ Both take bytes and give bytes, can be restarted, frozen and made to report a fa
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 import contextlib
+from dataclasses import replace
 import os
 from pathlib import Path
 import signal
@@ -15,7 +17,7 @@ import subprocess
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.serial.device import Device
-from dz_ros.drivers.serial.protocol import COUNT_LIMIT, Info
+from dz_ros.drivers.serial.protocol import COUNT_LIMIT, Info, MotorInfo
 from dz_ros.drivers.simulated import SimulatedActuator, SimulatedParameters
 from dz_ros.errors import DriverError
 
@@ -43,8 +45,8 @@ class EmulationTarget(ABC):
         """Restart it, as a press on its reset button."""
 
     @abstractmethod
-    def trip(self, code: int) -> None:
-        """Make its amplifier report a fault; 0 takes it back."""
+    def trip(self, code: int, motor: int | None) -> None:
+        """Make the amplifier of a motor, None = of each, report a fault; 0 takes it back."""
 
     @abstractmethod
     def freeze(self, frozen: bool) -> None:
@@ -56,30 +58,32 @@ class EmulationTarget(ABC):
 
 
 class EmulatedDevice(EmulationTarget):
-    """The device of `device` with the configured plant behind it, in real time.
+    """The device of `device` with the configured plant behind each motor, in real time.
 
-    The plant stands still until the first command moves it.
+    The plants stand still until the first command moves one of them.
 
     Args:
-        configuration: Plant, dead-zone, initial state, noise.
+        each: Plant, dead-zone, initial state, noise behind each motor.
         scales: Unit of a count: of the command, then of x, x', …
         limit: Largest |v| [counts].
     """
 
-    def __init__(self, configuration: Configuration, scales: tuple[float, ...],
+    def __init__(self, each: Sequence[Configuration], scales: tuple[float, ...],
                  limit: int) -> None:
-        self._plant = SimulatedActuator(SimulatedParameters(), configuration)
+        each = [replace(item, driver_parameters=SimulatedParameters()) for item in each]
+        self._plants = (SimulatedActuator.for_axes(each) if len(each) > 1
+                        else [SimulatedActuator(each[0].driver_parameters, each[0])])
         self._command_scale, *self._scales = scales
-        self._info = Info(0, len(self._scales), limit, self._command_scale, tuple(self._scales),
-                          'emulated device')
+        motor = MotorInfo(limit, self._command_scale, tuple(self._scales))
+        self._info = Info(0, (motor,) * len(each), 'emulated device')
         self._start: int | None = None
         self._now = 0
-        self._code = 0
+        self._codes = [0] * len(each)
         self._frozen = False
         self.restart()
 
     def step(self, received: bytes, now: int) -> bytes:
-        """Move the plant to now and let the device look."""
+        """Move the plants to now and let the device look."""
         self._now = now
         self._move()
         return b'' if self._frozen else self._device.step(received, now)
@@ -89,12 +93,13 @@ class EmulatedDevice(EmulationTarget):
         return min(self._device.due, now + TICK_US)
 
     def restart(self) -> None:
-        """Begin without a session and without power; the plant goes on."""
+        """Begin without a session and without power; the plants go on."""
         self._device = Device(self._info, self.measure, self.actuate)
 
-    def trip(self, code: int) -> None:
-        """Report a fault from now on; 0 = none."""
-        self._code = code
+    def trip(self, code: int, motor: int | None) -> None:
+        """Report a fault of a motor or of each from now on; 0 = none."""
+        self._codes = [code if motor in (None, place) else before
+                       for place, before in enumerate(self._codes)]
 
     def freeze(self, frozen: bool) -> None:
         """Hold what the actuator has, and be silent."""
@@ -108,23 +113,25 @@ class EmulatedDevice(EmulationTarget):
 
     def _move(self) -> None:
         if self._start is not None:
-            self._plant.advance(self._time(), 0)
+            for plant in self._plants:
+                plant.advance(self._time(), 0)
 
-    def measure(self) -> tuple[list[int], int]:
-        """Return the values now [counts] and the fault code."""
-        return [min(max(round(value / scale), -COUNT_LIMIT), COUNT_LIMIT) for value, scale
-                in zip(self._plant.measure(), self._scales, strict=False)], self._code
+    def measure(self) -> tuple[list[list[int]], list[int]]:
+        """Return the values of each motor now [counts] and their fault codes."""
+        rows = [[min(max(round(value / scale), -COUNT_LIMIT), COUNT_LIMIT) for value, scale
+                 in zip(plant.measure(), self._scales, strict=False)] for plant in self._plants]
+        return rows, self._codes
 
-    def actuate(self, counts: int | None) -> None:
-        """Give the plant a command [counts]; None = no power."""
-        if counts is None and self._start is None:
-            return
+    def actuate(self, counts: tuple[int, ...] | None) -> None:
+        """Give the plants their commands [counts]; None = no power."""
+        counts = counts or (0,) * len(self._plants)
         if self._start is None:
-            if counts == 0:
+            if not any(counts):
                 return
             self._start = self._now
         self._move()
-        self._plant.command(self._command_scale * (counts or 0), self._time())
+        for plant, count in zip(self._plants, counts, strict=True):
+            plant.command(self._command_scale * count, self._time())
 
 
 class Program(EmulationTarget):
@@ -181,10 +188,11 @@ class Program(EmulationTarget):
         self.close()
         self._start()
 
-    def trip(self, code: int) -> None:
-        """Send it SIGUSR1, SIGUSR2 to take it back."""
+    def trip(self, code: int, motor: int | None) -> None:
+        """Send it SIGUSR1, for one motor SIGRTMIN plus its number, SIGUSR2 to take it back."""
         if bool(code) != bool(self._code):
-            self._process.send_signal(signal.SIGUSR1 if code else signal.SIGUSR2)
+            self._process.send_signal(signal.SIGUSR2 if not code else signal.SIGUSR1
+                                      if motor is None else signal.SIGRTMIN + motor)
         self._code = code
 
     def freeze(self, frozen: bool) -> None:

@@ -4,8 +4,9 @@
     plant ── device (or a program) ── cable ── port ◀── driver
 
 The device speaks the whole protocol, with its own watchdog, and has the configured plant behind
-the configured dead-zone. Faults happen to the cable (bytes wrong, lost, added; unplugged, cut), to
-the device (silent, deaf, frozen, restarted, in fault) or to its states (`tampering`).
+the configured dead-zone, of several axes a motor for each. Faults happen to the cable (bytes
+wrong, lost, added; unplugged, cut), to the device (silent, deaf, frozen, restarted, in fault) or
+to its states (`tampering`).
 """
 
 from __future__ import annotations
@@ -18,13 +19,23 @@ import time
 from typing import Any, ClassVar
 
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.plants.coupled import CoupledPlant
 from dz_ros.core.schema import parameter
 from dz_ros.drivers.emulators import Emulator, Fault
 from dz_ros.drivers.serial import tampering
 from dz_ros.drivers.serial.cable import Cable
 from dz_ros.drivers.serial.emulated_devices import EmulatedDevice, EmulationTarget, Program
 from dz_ros.drivers.serial.framing import Receiver
-from dz_ros.drivers.serial.protocol import Command, decode, FrameError, MAX_VALUES, Mode, Request
+from dz_ros.drivers.serial.protocol import (
+    Command,
+    decode,
+    FrameError,
+    MAX_MOTORS,
+    MAX_VALUES,
+    Mode,
+    Request,
+)
+from dz_ros.drivers.serial.settings import motors_of, SerialParameters
 from dz_ros.errors import ConfigurationError
 
 SHARE = 0.01
@@ -47,6 +58,9 @@ class SerialEmulatorParameters:
     state_scale: float = parameter(1e-6, 'state units', "of a count of x, x', …", minimum=0.0,
                                    open_minimum=True)
     limit: int = parameter(30000, 'counts', 'largest |v|', minimum=1, maximum=2 ** 31 - 1)
+    motors: int = parameter(0, '1', 'how many motors it has; 0 = one for each axis of the '
+                            'configuration. Where those are fewer they come again', minimum=0,
+                            maximum=MAX_MOTORS)
 
 
 class SerialEmulator(Emulator):
@@ -64,7 +78,7 @@ class SerialEmulator(Emulator):
         'garbage': 'VALUE bytes of noise both ways at once (1000)',
         'freeze': 'the device does nothing for S s; the actuator keeps what it has',
         'restart': 'the device restarts',
-        'trip': 'its amplifier reports fault VALUE for S s (7)',
+        'trip': 'its amplifier reports fault VALUE for S s (7); DEVICE is a motor or its axis',
         **tampering.FAULTS,
     }
     Parameters = SerialEmulatorParameters
@@ -81,6 +95,12 @@ class SerialEmulator(Emulator):
                     and not math.isnan(fault.value):
                 raise ConfigurationError('--fault', f'mode@{fault.start:g}={fault.value:g}',
                                          f'must have a VALUE of 0 to {max(Mode)}')
+        self._names, self._each = zip(*self._axes(), strict=True)
+        for fault in faults:
+            if fault.device and fault.name != 'trip':
+                raise ConfigurationError('--fault', f'{fault.device}:{fault.name}', 'is a fault '
+                                         'of the device; trip alone is one of a motor')
+            self._motor(fault)
         self._cable = Cable(parameters.link, configuration.loop.seed)
         self._device: EmulationTarget | None = None
         self._receiver = Receiver()
@@ -98,7 +118,7 @@ class SerialEmulator(Emulator):
         p = self.parameters
         values = p.values or self.configuration.plant.order
         self._device = Program(p.program) if p.program else EmulatedDevice(
-            self.configuration, (p.command_scale, *[p.state_scale] * values), p.limit)
+            self._each, (p.command_scale, *[p.state_scale] * values), p.limit)
         self._cable.plug()
         return f'serial device on {self._cable.port}'
 
@@ -130,6 +150,60 @@ class SerialEmulator(Emulator):
         self._cable.unplug()
         if self._device is not None:
             self._device.close()
+
+    @classmethod
+    def of_axes(cls, parameters: Any, machine: Configuration, nodes: int,
+                faults: Sequence[Fault]) -> SerialEmulator:
+        """Return the device with a motor for each axis.
+
+        Raises:
+            ConfigurationError: They do not make one.
+        """
+        if nodes:
+            raise ConfigurationError('--nodes', nodes, f'{cls.name} emulates one device; the '
+                                     'number of its motors is --option motors')
+        return cls(parameters, machine, faults)
+
+    def _axes(self) -> list[tuple[str, Configuration]]:
+        """Return the axis behind each motor; of axes at several ports those at that of `link`.
+
+        Raises:
+            ConfigurationError: They do not make one device, or a plant couples another number.
+        """
+        machine = self.configuration.axes or (('', self.configuration),)
+        at = {name: item.driver_parameters.port for name, item in machine
+              if isinstance(item.driver_parameters, SerialParameters)}
+        ports, link = sorted(set(at.values())), self.parameters.link
+        if len(ports) > 1 and link not in ports:
+            raise ConfigurationError('--option link', link, 'must be a driver.port of the axes: '
+                                     f'one of {", ".join(ports)}')
+        axes = [axis for axis in machine if len(ports) < 2 or at.get(axis[0]) == link]
+        if ports:
+            motors = motors_of([item for _, item in axes])
+            axes = [axes[motors.index(motor)] for motor in range(len(axes))]
+        count = self.parameters.motors or len(axes)
+        if count > MAX_MOTORS:
+            raise ConfigurationError('loop.axes', [name for name, _ in axes], 'are more than the '
+                                     f'{MAX_MOTORS} motors of a device: set --option motors')
+        if isinstance(axes[0][1].plant, CoupledPlant) and (
+                len(axes), count) != (len(machine), len(machine)):
+            raise ConfigurationError('--option motors', count, f'must be {len(machine)}: the '
+                                     'plant couples as many')
+        return [axes[place % len(axes)] for place in range(count)]
+
+    def _motor(self, fault: Fault) -> int | None:
+        """Return the motor that a fault is of; None = each.
+
+        Raises:
+            ConfigurationError: There is none of that name or number.
+        """
+        known = [*self._names, *map(str, range(len(self._names)))]
+        if not fault.device:
+            return None
+        if fault.device not in known:
+            raise ConfigurationError('--fault', f'{fault.device}:{fault.name}', 'DEVICE must be '
+                                     f'one of {", ".join(filter(None, known))}')
+        return known.index(fault.device) % len(self._names)
 
     def _disturb(self, lost_by: str, data: bytes, log: Callable[[str], None], now: int) -> bytes:
         """Return what of the bytes gets through; note the first command that moves the device."""
@@ -182,7 +256,7 @@ class SerialEmulator(Emulator):
         elif fault.name == 'freeze':
             device.freeze(True)
         elif fault.name == 'trip':
-            device.trip(7 if math.isnan(fault.value) else int(fault.value))
+            device.trip(7 if math.isnan(fault.value) else int(fault.value), self._motor(fault))
 
     def _end(self, device: EmulationTarget, fault: Fault) -> None:
         if fault.name == 'unplug':
@@ -192,4 +266,4 @@ class SerialEmulator(Emulator):
         elif fault.name == 'freeze':
             device.freeze(False)
         elif fault.name == 'trip':
-            device.trip(0)
+            device.trip(0, self._motor(fault))

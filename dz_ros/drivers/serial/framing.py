@@ -8,9 +8,9 @@ by COBS [cheshire1999], which leaves no zero byte, and a zero byte ends the fram
 
 The CRC is that of IEEE 802.3 (CRC-32/ISO-HDLC): polynomial 0x04C11DB7, reflected, initial value
 and final xor 0xFFFFFFFF; over the nine bytes "123456789" it is 0xCBF43926. For bodies of up to 29
-bytes it detects every pattern of up to five wrong bits [koopman2002]; COBS can turn one wrong bit
-of the line into more, so for a line the bound that holds is the one for arbitrary damage: one
-damaged frame in 2^32 passes.
+bytes it detects every pattern of up to five wrong bits, for the longest here of up to four
+[koopman2002]; COBS can turn one wrong bit of the line into more, so for a line the bound that
+holds is the one for arbitrary damage: one damaged frame in 2^32 passes.
 
 Because zero is nothing but an end, a receiver that has lost its place has it again after the next
 zero: damage costs the frames it touches, and at most the one after them.
@@ -25,7 +25,7 @@ from dz_ros.core.counted_log import Counted
 
 END = 0
 """The byte that ends a frame and occurs nowhere else."""
-MAX_BODY = 60
+MAX_BODY = 216
 """Longest body of a frame [bytes]."""
 CRC_SIZE = 4
 MAX_LINE = MAX_BODY + CRC_SIZE + 1

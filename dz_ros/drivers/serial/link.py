@@ -58,6 +58,7 @@ class Link:
         baudrate: Bits per second.
         period_us: Interval between states [µs].
         silence: A device without a new state or an answer for longer is greeted again [s].
+        motors: Number of motors that the device must have.
 
     Attributes:
         counts: States taken and connections.
@@ -68,9 +69,11 @@ class Link:
         broken: Why line or device is not the one greeted first, as text; stays until `mend`.
     """
 
-    def __init__(self, port: str, baudrate: int, period_us: int, silence: float) -> None:
+    def __init__(self, port: str, baudrate: int, period_us: int, silence: float,
+                 motors: int) -> None:
         self.port, self.baudrate, self.period_us = port, baudrate, period_us
         self._silence = silence
+        self.motors = motors
         self.counts = dict.fromkeys(('states', 'connections'), 0)
         self.refused = Counted()
         self.monitor = StateMonitor(self.refused)
@@ -101,7 +104,7 @@ class Link:
             patience: Longest wait for its answer [s].
 
         Raises:
-            DriverError: No port, no answer, or one of another version.
+            DriverError: No port, no answer, one of another version or another number of motors.
             MissingDependencyError: pyserial is not installed.
         """
         try:
@@ -197,8 +200,10 @@ class Link:
         """Greet a device that has not answered yet, or does no more."""
         if self._state is not None:
             with self._news:
-                silent = now - self._state[1] > self._silence
-                if silent or self.monitor.outstanding(now) > self._silence:
+                arrived = self._state[1]
+                silent = now - arrived > self._silence
+                # Only a state shows that a command has no answer; without one it is silence.
+                if silent or self.monitor.outstanding(arrived) > self._silence:
                     stale = self.monitor.stale
                     what = (f'{stale}: nothing new' if stale else 'the device has sent nothing'
                             if silent else 'the device has taken no command')
@@ -257,7 +262,9 @@ class Link:
         except FrameError:
             frame = None
         with self._news:
-            if isinstance(frame, State) and frame.session == self._session and self._identified:
+            if isinstance(frame, (State, Info)) and frame.motors != self.motors:
+                self._deny(self._other_number(frame.motors))
+            elif isinstance(frame, State) and frame.session == self._session and self._identified:
                 self._take(frame, now)
             elif (isinstance(frame, State) and self._state is not None
                   and not self.monitor.was_held_back(frame)):
@@ -278,7 +285,7 @@ class Link:
     def _take(self, state: State, now: float) -> None:
         """Take a state of this session, as far as it is new, and keep what is wrong with it."""
         assert self.info is not None
-        if len(state.values) != self.info.values:
+        if len(state.values[0]) != self.info.values:
             self.refused.add('states with another number of values')
             return
         taken, difference = self.monitor.take(state, now)
@@ -287,9 +294,16 @@ class Link:
             self.counts['states'] += 1
         self.broken = self.broken or difference
 
+    def _other_number(self, motors: int) -> str:
+        """Return why a device with this number of motors is not the one, as text."""
+        has = ('1 motor (version 1 of the protocol)' if motors == 1 else
+               f'{motors} motors (version 2 of the protocol)')
+        return (f'another number of axes: the device has {has}, at this port '
+                + ('is 1 axis' if self.motors == 1 else f'are {self.motors} axes'))
+
     def _deny(self, reason: str) -> None:
         """Ignore what answers until the right device does."""
-        self._problem = reason
+        self._problem, self._identified = reason, False
         if self._state is not None:
             self._break(reason)
 
@@ -328,7 +342,7 @@ class Link:
             self._greeted = time.monotonic()
             session = self._session
         # The zero ends whatever garbage the device may have of before.
-        self._put(Hello(session, self.period_us).body(), b'\0')
+        self._put(Hello(session, self.period_us, self.motors).body(), b'\0')
 
     def _put(self, body: bytes, before: bytes = b'') -> None:
         """Write a frame; drop it where the line takes nothing."""

@@ -41,11 +41,11 @@ LEADS_TO = {
 
 @dataclass(frozen=True)
 class Wish:
-    """The newest that the host wants: request, v and safe command [counts], hold [ms]."""
+    """The newest that the host wants: request, v and safe commands [counts], hold [ms]."""
 
     request: Request
-    v: int
-    safe: int
+    v: tuple[int, ...]
+    safe: tuple[int, ...]
     hold_ms: int
 
 
@@ -190,8 +190,11 @@ class StateMonitor:
     def _judge_mode(self, state: State, now: float) -> str:
         """Compare the mode with what the command of the echo leads to."""
         wish, mode = self.answered, state.mode
-        if state.fault and mode not in (Mode.FAULT, Mode.ESTOP):
-            return f'the device reports fault {state.fault} in mode {mode.name.lower()}'
+        if any(state.faults) and mode not in (Mode.FAULT, Mode.ESTOP):
+            motor = next(place for place, code in enumerate(state.faults) if code)
+            return (f'the device reports fault {state.faults[motor]}'
+                    + (f' of motor {motor}' if state.motors > 1 else '')
+                    + f' in mode {mode.name.lower()}')
         if (wish is None or self._pardoned or mode in (Mode.FAULT, Mode.ESTOP)
                 or mode in LEADS_TO[wish.request]):
             return ''

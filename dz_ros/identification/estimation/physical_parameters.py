@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 
 FAST = 1e6
 """A speed at which smoothed friction has its full size."""
+ROUNDING = 1e-9
+"""Break points smaller than this share of those with friction counted in are rounding errors."""
 CLOSE = 1e-9
 """Relative difference at which constants count as reached."""
 
@@ -71,8 +73,9 @@ def friction_terms(plant: Plant, zone: Array) -> tuple[Array, Array]:
         rows.append([y[i] for i in plant.friction])
     matrix, target = np.array(rows), zone[2:] * zone[:2]
     a = np.linalg.lstsq(matrix, target, rcond=None)[0]
-    b_r, b_l = ((target - matrix @ a) / zone[2:]).tolist()
-    return a, np.array([max(b_r, 0.0), min(b_l, 0.0), *zone[2:]])
+    rest = (target - matrix @ a) / zone[2:]
+    rest[np.abs(rest) < ROUNDING * np.abs(zone[:2]).max()] = 0.0
+    return a, np.array([max(rest[0], 0.0), min(rest[1], 0.0), *zone[2:]])
 
 
 def _slopes(constants: Any, q: Array, scale: Array) -> Array:

@@ -117,6 +117,11 @@ class Experiment:
         """About how long it takes [s]: four moves a repeat, each a ramp and a way back."""
         return REST + self.plan.repeats * (4.0 * (self.plan.ramp + SETTLE) + self.plan.pause)
 
+    @property
+    def position(self) -> float:
+        """Where x is, from where it was at the beginning."""
+        return self._x
+
     def command(self, x: Sequence[float]) -> float | None:
         """Return the command after the measurement x, shape (n,); None = it is over.
 

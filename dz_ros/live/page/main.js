@@ -1,6 +1,7 @@
 // The page: what comes in is kept in stores, what is looked at is drawn, as often as it can be.
 
 import {Actions} from './actions.js';
+import {Commissioning} from './commissioning.js';
 import {csv, png} from './exports.js';
 import {Histogram} from './histograms.js';
 import {Link} from './link.js';
@@ -143,6 +144,7 @@ function words() {
   if (page['state-word'].textContent !== word) page['state-word'].textContent = word;
   if (page['state-why'].textContent !== why) page['state-why'].textContent = why;
   app.actions.use(usable, usable ? '' : word);
+  app.commissioning.enable();
   page.pause.textContent = view.follow ? 'Pause' : 'Resume';
   page.pause.setAttribute('aria-pressed', String(!view.follow));
   if (!app.tiles) return;
@@ -195,9 +197,12 @@ function wire() {
 
 app.link = new Link({
   hello, facts, rows, event: happened, events: (message) => message.events.forEach(happened),
-  status: (message) => { app.status = message; },
+  status: (message) => { app.status = message; app.commissioning.status(message); },
+  commissioning: (message) => app.commissioning.show(message),
+  moves: (message) => app.commissioning.moved(message.text),
 });
 app.actions = new Actions(app.link, page);
+app.commissioning = new Commissioning(page, app.actions);
 app.parameters = new Parameters(page.parameters, app.actions);
 app.scrub = new Scrub(page, view, app.link, detail);
 wire();

@@ -52,7 +52,7 @@ export class Tiles {
 
 // The loop's condition as [state, word, reason, whether an action can reach it]. Data that is old or
 // missing is never called live; a planned end is an end, not an error.
-export function condition({link, hello, status, rowsAt, stores, view, finished}) {
+export function condition({link, hello, status, rowsAt, stores, view, finished, commissioning}) {
   const now = performance.now();
   const ended = finished && hello?.mode === 'live'
     ? (why, usable = false) => ['ended', 'LOOP ENDED', why, usable] : null;
@@ -68,6 +68,10 @@ export function condition({link, hello, status, rowsAt, stores, view, finished})
       'gone', 'NO MESSAGE FROM THE SERVER', `for ${((now - link.received) / 1e3).toFixed(1)} s`,
       false];
   }
+  const runs = status && status.age !== null
+    && status.age < Math.max(FRESH, 5 / (hello.rate || 200));
+  const steps = commissioning.condition(status, runs);
+  if (steps) return steps;
   if (!status || status.age === null) {
     return ['waiting', 'WAITING FOR A LOOP', hello.namespace, true];
   }

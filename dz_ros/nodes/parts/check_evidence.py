@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 import math
 import time
 from typing import Any
@@ -28,6 +29,8 @@ SAFE_MODES = ('lost', 'fault', 'estop', 'waiting')
 """Modes in which a host of ours holds the safe command."""
 DISCOVERY_TIMEOUT = 5.0
 """Longest wait for a subscriber to be found [s]."""
+Send = Callable[[Sequence[str], Sequence[float]], None]
+"""Sends a message of these labels and numbers."""
 LIMITED_COUNTS = ('held back by a limit', 'saturated by the device [commands]')
 """Values of the diagnostics that count limited commands."""
 
@@ -97,14 +100,21 @@ class Evidence:
         self.taken[command.seq] = time.monotonic() - self.arrivals[-1]
         self._send(command.numbers())
 
-    def send(self, labels: Sequence[str], numbers: Sequence[float]) -> None:
-        """Send any message, on a publisher of its own, once it has a subscriber."""
+    @contextmanager
+    def stranger(self) -> Iterator[Send]:
+        """Return the function that sends any message, on a publisher of its own.
+
+        It has a subscriber, and is gone when the context ends.
+        """
         publisher = self._node.create_publisher(
             Float64MultiArray, 'command', topics.offered('command'))
         self._node.spin_until(time.monotonic() + DISCOVERY_TIMEOUT,
                               publisher.get_subscription_count)
-        publisher.publish(ArrayCodec(tuple(labels)).encode(numbers))
-        self._node.destroy_publisher(publisher)
+        try:
+            yield lambda labels, numbers: publisher.publish(
+                ArrayCodec(tuple(labels)).encode(numbers))
+        finally:
+            self._node.destroy_publisher(publisher)
 
     def reset(self, limit: float) -> str:
         """Call the node's reset service if it has one; return why it refused within a time [s]."""

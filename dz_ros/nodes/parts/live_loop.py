@@ -27,6 +27,7 @@ from dz_ros.live.history import History
 from dz_ros.live.joiner import Joiner
 from dz_ros.live.node_configurations import brief, labels_of
 from dz_ros.live.source import Source
+from dz_ros.nodes.parts.live_commissioning import Commissioning
 from dz_ros.nodes.ros import topics
 from dz_ros.nodes.ros.base import NOT_READABLE
 from dz_ros.nodes.ros.polling import Store
@@ -67,6 +68,7 @@ class LiveLoop(Source):
         seq: Its seq; −1 = none yet.
         received: When it came, by the steady clock [s].
         operator: Does what viewers ask.
+        commissioning: The steps of a commissioning that is shown; None = there is none.
         axes: Names of the axes, of a loop of several.
         axis: The one that is shown, to all viewers; '' = there is one, without a name.
     """
@@ -74,6 +76,7 @@ class LiveLoop(Source):
     def __init__(self, node: Any, minutes: float) -> None:
         self.stamp, self.seq, self.received = 0.0, -1, float('-inf')
         self.operator: Any = None
+        self.commissioning: Commissioning | None = None
         self.axes: tuple[str, ...] = ()
         self.axis = ''
         self._node = node
@@ -293,19 +296,27 @@ class LiveLoop(Source):
 
     def hello(self) -> dict[str, Any]:
         """Return columns, configuration, how long rows are kept."""
-        return {'mode': 'live', 'namespace': self._namespace or '/', 'minutes': self._minutes,
-                'columns': self.layout.describe(self.configuration),
-                'axes': list(self.axes), 'axis': self.axis, 'rate': 200.0,
-                **facts(self.configuration)}
+        found = {'mode': 'live', 'namespace': self._namespace or '/', 'minutes': self._minutes,
+                 'columns': self.layout.describe(self.configuration),
+                 'axes': list(self.axes), 'axis': self.axis, 'rate': 200.0,
+                 **facts(self.configuration)}
+        if self.commissioning is not None and self.configuration is None:
+            found['title'] = self.commissioning.title
+        return found
 
     def now(self) -> list[dict[str, Any]]:
         """Return the state of the nodes and the events so far, these in one text."""
-        return [self.status(time.monotonic()), {'kind': 'events', 'events': list(self._events)}]
+        found = [self.status(time.monotonic()), {'kind': 'events', 'events': list(self._events)}]
+        if self.commissioning is not None and self.commissioning.shown:
+            found.append(self.commissioning.shown)
+        return found
 
     def news(self) -> list[dict[str, Any]]:
         """Return what has happened since the last time."""
         found = list(self._news)
         self._news.clear()
+        if self.commissioning is not None:
+            found += self.commissioning.news()
         return found
 
     def status(self, now: float) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
@@ -29,6 +30,8 @@ from dz_ros.nodes.ros.parameters import PARAMETER_TYPES
 
 SERVICE_TIMEOUT = 5.0
 """Longest wait for a service [s]."""
+RELEASE_TIMEOUT = 1.0
+"""Longest wait until all have received a release; a node that has died never will [s]."""
 PULSE_LEAD = 0.1
 """A disturbance pulse begins this long after the request, so that the plant has it by then [s]."""
 MAX_PULSE_DURATION = 10.0
@@ -66,7 +69,9 @@ class LiveOperator:
     @property
     def pressed(self) -> bool:
         """Whether the e-stop was pressed, here or elsewhere, and no end has been reset since."""
-        return self._stopped or bool(self._estop.held_by())
+        commissioning = self._loop.commissioning
+        return (self._stopped or bool(self._estop.held_by())
+                or (commissioning is not None and commissioning.stopped))
 
     def spin(self) -> None:
         """Serve what has come."""
@@ -94,15 +99,32 @@ class LiveOperator:
             self._mine = False
             self._estop.publish(False)
 
+    async def _released(self, stops: int) -> None:
+        """Release this page's press; wait until the ends have that, which would refuse a reset."""
+        self._release()
+        until, publisher = time.monotonic() + RELEASE_TIMEOUT, self._estop.publisher
+        while not publisher.wait_for_all_acked(Duration()) and time.monotonic() < until:
+            await asyncio.sleep(0.004)
+            self.receive_estop()
+            self._loop.still(stops)
+
     def estop(self, viewer: str) -> dict[str, Any]:
         """Press the e-stop."""
         self.stops += 1
         self._estop.publish(True)
         self._mine = self._stopped = True
+        refused = ''
+        if self._loop.commissioning is not None:
+            try:
+                self._loop.commissioning.estop()
+            except LoopError as error:
+                refused = f'; {error}'
         self._loop.look(time.monotonic())
         self._publish('estop', viewer, True, '')
-        return {'message': 'e-stop pressed; both ends stay at the safe command until reset',
-                'seq': self._loop.seq}
+        stays = ('the device has its safe command, no step begins until reset'
+                 if self._loop.commissioning is not None and self._loop.seq < 0
+                 else 'both ends stay at the safe command until reset')
+        return {'message': f'e-stop pressed; {stays}{refused}', 'seq': self._loop.seq}
 
     async def act(self, viewer: str, request: dict[str, Any], stops: int) -> dict[str, Any]:
         """Do anything else, unless an e-stop has come since their number was `stops`.
@@ -119,6 +141,11 @@ class LiveOperator:
             elif what in TRANSITIONS:
                 details = {'target': str(request.get('node') or 'all')[:100]}
                 message = await self._change(what, request.get('node'), stops)
+            elif what == 'commission':
+                details = {'target': str(request.get('step') or request.get('what'))[:100]}
+                if self._loop.commissioning is None:
+                    raise LoopError('nothing is commissioned here')
+                message = self._loop.commissioning.ask(request, self.pressed)
             elif what == 'disturbance_pulse':
                 details = {'values': self._pulse(request)}
                 message = await self._set(details['values'], stops)
@@ -138,11 +165,11 @@ class LiveOperator:
 
     async def _reset(self, stops: int) -> str:
         """Release e-stop and faults, the actuator's end first; ask nodes that refuse twice."""
-        self._release()
+        await self._released(stops)
         nodes = self._serving('reset', 'std_srvs/srv/Trigger')
         controller = self._loop.owners.get('controller')
         nodes.sort(key=lambda name: name == controller)
-        if not nodes:
+        if not nodes and self._loop.commissioning is None:
             raise LoopError('no node of this loop can be reset: is it running?')
         refused: dict[str, str] = {}
         for _ in range(2):      # what the first round has reset may let the other end be reset
@@ -159,6 +186,8 @@ class LiveOperator:
                     refused[name] = answer.message
             if not refused:
                 self._stopped = False
+                if self._loop.commissioning is not None:
+                    self._loop.commissioning.stopped = False
                 return 'reset'
         raise LoopError('; '.join(f'{name}: {why}' for name, why in refused.items()))
 

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The design rules at the start of the controller: findings are logged, errors refuse.
 
-One line with the assumptions that are met, and one for each warning; `dz check` has the rest. Of
-λ one run is simulated, with the λ configured, in about 0.1 s; `dz check` computes the distance to
-the limit. Gains set while the loop runs are judged by the rules that need no simulation.
+One line with the assumptions that are met and what k* covers, and one for each warning; `dz
+check` has the rest. Of λ one run is simulated, with the λ configured, in about 0.1 s; `dz check`
+computes the distance to the limit. Gains set while the loop runs are judged by the rules that need
+no simulation.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from rclpy.node import Node
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.finding import ERROR, Finding, INFO
+from dz_ros.core.design.robust_gain import RobustGain
 from dz_ros.core.design.rules import check
 from dz_ros.core.design.stability import lost_from_start
 from dz_ros.errors import ConfigurationError
@@ -83,9 +85,14 @@ def _axis_lines(configuration: Configuration, starting: bool) -> list[Line]:
                 'controller.law', configuration.law.name,
                 f'design rule {finding.rule}: {finding.words}; {finding.change}; or start it all '
                 'the same with controller.override_checks: true')
-    lines = [(False, f'design rules, assumptions: {_assumptions(findings)}; details: dz check')]
-    return (lines if starting else []) + [(True, _line(finding)) for finding in findings
-                                          if finding.level != INFO]
+    warnings = [(True, _line(finding)) for finding in findings if finding.level != INFO]
+    if not starting:
+        return warnings
+    gain = RobustGain.of(configuration)
+    parts = [f'design rules, assumptions: {_assumptions(findings)}', 'details: dz check']
+    if gain is not None and not any(gain.words in text for _, text in warnings):
+        parts.insert(1, gain.words)
+    return [(False, '; '.join(parts)), *warnings]
 
 
 def _rule(text: str) -> str:

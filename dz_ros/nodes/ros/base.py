@@ -30,6 +30,7 @@ from dz_ros.core import events
 from dz_ros.core.configuration import Configuration, SECTIONS
 from dz_ros.core.counted_log import CountedLog
 from dz_ros.core.safety.guards import Verdict, WORDS
+from dz_ros.core.safety.health import Level, Report
 from dz_ros.core.trajectories.base import Trajectory
 from dz_ros.errors import LoopError, MessageError
 from dz_ros.nodes.ros import graph, topics
@@ -57,6 +58,8 @@ NOT_READABLE, OTHER_NAMES = 'without names, or not readable', 'names of other nu
 """Cause by which messages are counted whose bytes or labels are not the topic's."""
 PAYLOAD_FRAME = 16
 """Bytes of a text message besides its text, at most."""
+SCHEDULE_SILENT = 5.0
+"""A scheduling variable without a message for this long is worth a warning [s]."""
 
 
 class LoopNode(Node):
@@ -93,6 +96,7 @@ class LoopNode(Node):
         self._refused: set[str] = set()
         self._trajectory_text: tuple[Trajectory, str] | None = None
         self._executor_given = executor
+        self._psi = math.nan, -math.inf        # ψ and when it came [s]
 
     @property
     def subscriptions(self) -> Iterator[Subscription]:
@@ -198,12 +202,27 @@ class LoopNode(Node):
             return
 
         def received(message: Any) -> None:
-            if math.isfinite(message.data):
-                callback(float(message.data))
+            psi = float(message.data)
+            if math.isfinite(psi):
+                self._psi = psi, time.monotonic()
+                callback(psi)
             else:
-                self.count('schedule: not finite')
+                self.count('loop.schedule_topic: not finite')
 
         self._subscribed.append(self.create_subscription(Float64, topic, received, topics.NEWEST))
+
+    def report_schedule(self, report: Report) -> None:
+        """Add the scheduling variable of the topic to diagnostics; warn where it is silent."""
+        topic = self.configuration.loop.schedule_topic
+        if not topic:
+            return
+        psi, at = self._psi
+        age = time.monotonic() - at
+        report.put('scheduling variable', None if math.isnan(psi) else psi)
+        if math.isnan(psi):
+            report.summarize(Level.WARN, f'nothing has come on {topic}: loop.schedule_values hold')
+        elif age > SCHEDULE_SILENT:
+            report.summarize(Level.WARN, f'{topic} has been silent for {age:.0f} s: {psi:g} holds')
 
     def withdraw(self) -> None:
         """Publish and receive the loop's topics no more."""

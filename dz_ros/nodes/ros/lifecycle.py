@@ -8,7 +8,7 @@ needs no manager. An impossible transition is refused; it does not end the proce
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Sized
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -23,6 +23,8 @@ from dz_ros.nodes.ros.base import LoopNode
 from dz_ros.nodes.ros.diagnostics import Diagnostics
 from dz_ros.nodes.ros.parameters import configure
 
+MAX_ITEMS = 10_000
+"""Numbers, texts or letters of one parameter that is set: while each is checked the loop waits."""
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
@@ -200,6 +202,11 @@ class ManagedNode(LifecycleNodeMixin, LoopNode):
 
     def _check_parameters(self, changed: Sequence[Parameter]) -> SetParametersResult:
         """Return whether parameters may take these values, all together."""
+        for item in changed:
+            if isinstance(item.value, Sized) and len(item.value) > MAX_ITEMS:
+                return SetParametersResult(successful=False, reason=f'{item.name} has '
+                                           f'{len(item.value)} items: at most {MAX_ITEMS} can be '
+                                           'set while the node runs')
         flat = self.configuration.to_flat(*{section_of(item.name) for item in changed})
         values = {item.name: list(item.value) if isinstance(flat.get(item.name), list)
                   and item.value is not None else item.value

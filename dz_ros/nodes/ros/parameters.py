@@ -44,7 +44,8 @@ def overrides(node: Node, names: Container[str]) -> dict[str, Any]:
     found = {}
     for key, item in given.items():
         if key.partition('.')[0] in names:
-            value = item.value
+            # An empty array has no type, so rcl calls it not set.
+            value = [] if item.type_ == Parameter.Type.NOT_SET else item.value
             found[key] = list(value) if isinstance(value, (tuple, list)) or hasattr(
                 value, 'tolist') else value
     return found

@@ -16,7 +16,7 @@ as they are; truth is not used.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -44,18 +44,20 @@ GAP = 'command and terms are not in the log'
 
 
 def audit(run: RunData, configuration: Configuration | None = None,
-          others: Sequence[RunData] = ()) -> AuditResult:
+          others: Sequence[RunData] = (),
+          progress: Callable[[int, int, str], None] = lambda *_: None) -> AuditResult:
     """Return what recomputing a run finds.
 
     Args:
         run: The run; any log of the loop's topics, with or without events.
         configuration: What ran, for logs without it; overrules theirs.
         others: The other axes of the loop, in their order: a law that knows all axes needs them.
+        progress: Called with the number of samples taken again, of all, and an empty word.
     """
     here = version()
     steps = StepTable.of(run)
     found, findings, notes = parts(run, steps, configuration, here)
-    again = Recomputation(run, steps, others)
+    again = Recomputation(run, steps, others, progress)
     last: tuple[float, ...] | None = None
     for part, low, high in _stretches(steps, found):
         if part is None or part.configuration is None:

@@ -92,6 +92,8 @@ class _Taken:
 
 UNKNOWN_OTHERS = 'what the other axes had is not in the log, and the law knows all axes'
 """Why a sample of a coupled law is not checked."""
+OFTEN = 1000
+"""Steps between two calls of `progress`."""
 Beside = tuple[tuple[float, ...], ...]
 """x_d, x and memory of the other axes, one after the other."""
 
@@ -103,6 +105,7 @@ class Recomputation:
         run: The run.
         steps: Its steps.
         others: Other axes of the loop, whose messages are the same ones: its steps are theirs.
+        progress: Called every `OFTEN` steps with steps taken, of all, and an empty word.
 
     Attributes:
         tally: What was compared.
@@ -113,8 +116,9 @@ class Recomputation:
         cut: Number of stops before which too few samples are in the log for the guard.
     """
 
-    def __init__(self, run: RunData, steps: StepTable, others: Sequence[RunData] = ()) -> None:
-        self._run, self._steps = run, steps
+    def __init__(self, run: RunData, steps: StepTable, others: Sequence[RunData] = (),
+                 progress: Callable[[int, int, str], None] = lambda *_: None) -> None:
+        self._run, self._steps, self._progress = run, steps, progress
         self._others = [Recomputation(item, steps) for item in others]
         self._follows = steps.follows
         self._controller: Controller | None = None
@@ -197,6 +201,8 @@ class Recomputation:
             lacking = [item is None for item in beside]
             self.unchecked.add(rows[np.array(lacking, dtype=bool)], UNKNOWN_OTHERS)
         for i, signals in enumerate(recorded.signals):
+            if i % OFTEN == 0:
+                self._progress(int(rows[i]), len(steps.seq), '')
             if i and not follows[i]:
                 carried = None
             if not size:

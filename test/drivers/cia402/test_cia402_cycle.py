@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 import pytest
 
 from dz_ros.drivers.cia402.bus import DriveBus
-from dz_ros.drivers.cia402.cycle import Cycle, Phase
+from dz_ros.drivers.cia402.cycle import Phase, SharedCycle
 from dz_ros.drivers.cia402.objects import layout
 from dz_ros.drivers.cia402.settings import Cia402Parameters
+from dz_ros.drivers.cia402.shared_bus import SharedBus
 from dz_ros.drivers.cia402.states import DriveState, Goal
 
 T = 0.005
@@ -81,7 +82,8 @@ class Bus:
             self.frames.append((time.monotonic(), identifier, bytes(data)))
             self._news.notify_all()
 
-    def sync(self):
+    def sync(self, drives):
+        self.synced = list(drives)
         self.synced_at = time.monotonic()
         self.send(0x80, b'')
 
@@ -110,8 +112,7 @@ def run():
 
     def start(**values):
         bus = Bus(**values)
-        cycle = Cycle(bus, T)
-        cycle.start()
+        cycle = SharedCycle(bus, T).serve(bus)
         started.append(cycle)
         return bus, cycle
 
@@ -178,8 +179,8 @@ def test_fault_reset_is_an_edge_and_only_in_fault(run):
     assert {word for word, _ in bus.commands()[sent + 1:]} == {0x02}
 
 
-def test_stopping_twice_and_before_the_start():
-    cycle = Cycle(Bus(), T)
+def test_stopping_twice():
+    cycle = SharedCycle(Bus(), T).serve(Bus())
     cycle.stop()
     cycle.stop()
 
@@ -188,7 +189,8 @@ class Silent:
     """A bus that nobody is on."""
 
     def __init__(self):
-        self.bus = DriveBus(replace(Cia402Parameters(), heartbeat_hold=0.2), T)
+        p = replace(Cia402Parameters(), heartbeat_hold=0.2)
+        self.bus = DriveBus(p, T, SharedBus(p, T))
 
     def heartbeat(self, now, monkeypatch):
         monkeypatch.setattr('time.monotonic', lambda: now)

@@ -98,7 +98,7 @@ def test_the_position_is_that_of_the_sample(drive, until, monkeypatch, extrapola
     d.node.off = True                           # nothing comes any more but what follows
     driver.bus.position.forget()
     monkeypatch.setattr('dz_ros.drivers.cia402.driver.time.monotonic', lambda: 100.0)
-    driver.bus.sync()
+    driver.shared.sync([driver.bus])
     hear = driver.bus.network.notify
     hear(0x281, bytearray(bytes.fromhex('000002000000')), 0.0)      # 2 turns/s
     hear(0x181, bytearray(bytes.fromhex('3712000001000a')), 0.0)    # 1 turn

@@ -100,9 +100,9 @@ def test_bus_off_of_our_own_interface_is_an_error_frame(drive, until):
         other.send(can.Message(arbitration_id=0x40, is_error_frame=True, dlc=8, data=bytes(8)))
         until(driver.fault)
     assert driver.fault() == 'bus off: too many errors on the CAN bus'
-    old = driver.bus
+    old = driver.bus.network.bus
     back(d, driver, until)
-    assert driver.bus is not old
+    assert driver.bus.network.bus is not old
 
 
 def test_an_adapter_that_is_pulled_out_and_put_in_again(drive, until, monkeypatch):
@@ -129,7 +129,7 @@ def test_an_adapter_that_is_pulled_out_and_put_in_again(drive, until, monkeypatc
 
 def lose_the_bus(driver, until):
     """Have our adapter go bus off."""
-    driver.bus._on_error_frame(0x40)
+    driver.shared.error_frame(0x40)
     until(driver.fault)
     assert driver.bus.broken
 

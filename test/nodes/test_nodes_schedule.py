@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A scheduling variable by a topic of another process: law and simulated dead-zone follow it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dz_ros.core.deadzone import dead_zone, Schedule
+from dz_ros.files.configurations import load_configuration
+from dz_ros.recording.reader import read_run
+from dz_ros.replay.audit.audit import audit
+
+pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
+
+TOPIC = 'battery/voltage'
+KNOWN = [f'controller.{name}={value}' for name, value in (
+    ('law', 'scheduled'), ('table_points', '[10.0, 12.0, 16.0, 20.0]'), ('psi_0', 20.0),
+    ('m_r_known', '[0.572, 0.717, 1.0, 1.241]'), ('m_l_known', '[0.455, 0.566, 0.779, 0.931]'),
+    ('b_r_known', '[44.0, 40.0, 32.0, 28.0]'), ('b_l_known', '[-44.0, -40.0, -32.0, -28.0]'),
+    ('m_bounds', '[0.6, 1.25]'), ('b_r_bounds', '[26.0, 46.0]'), ('b_l_bounds', '[-46.0, -26.0]'),
+    ('override_checks', 'true'))]
+SETTINGS = ['loop.schedule_values=[20.0]', 'loop.schedule_times=[]',
+            f'loop.schedule_topic={TOPIC}', *KNOWN, 'safety.state_hold=200',
+            'safety.command_hold=100', 'safety.echo_limit=200', 'safety.fault_after=4000',
+            'safety.runaway_time=0.0', 'plant.wave_force=0.0']
+
+
+@pytest.fixture
+def voltage(watcher):
+    """Publish a voltage until the law has used it; a reliable publisher, or one that is not."""
+    from rclpy.qos import QoSProfile, ReliabilityPolicy
+    from std_msgs.msg import Float64
+
+    publishers = {reliable: watcher.node.create_publisher(Float64, TOPIC, QoSProfile(
+        depth=1, reliability=ReliabilityPolicy.RELIABLE if reliable
+        else ReliabilityPolicy.BEST_EFFORT)) for reliable in (True, False)}
+
+    def used():
+        return [message.data[-1] for message in watcher.heard['terms'][-1:]]
+
+    def give(value, expected=None, reliable=True):
+        def settled():
+            publishers[reliable].publish(Float64(data=value))
+            return used() == [value if expected is None else expected]
+
+        watcher.wait(settled)
+        heard = len(watcher.heard['terms'])
+        watcher.wait(lambda: len(watcher.heard['terms']) > heard + 100)
+
+    give.used = used
+    return give
+
+
+def diagnostics(watcher):
+    """Return node → (level, message, values), as they come."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    found = {}
+    watcher.node.create_subscription(
+        DiagnosticArray, '/diagnostics', lambda message: found.update({
+            item.name.strip('/'): (item.level[0], item.message,
+                                   {pair.key: pair.value for pair in item.values})
+            for item in message.status}), 50)
+    return found
+
+
+def test_law_and_dead_zone_follow_a_topic_of_another_process(processes, watcher, voltage,
+                                                             tmp_path):
+    reports = diagnostics(watcher)
+    words = [word for text in SETTINGS for word in ('--set', text)]
+    run = processes('-m', 'dz_ros', 'run', 'thruster', '--duration', '0', '--quiet', '--record',
+                    tmp_path / 'run', *words)
+    watcher.wait_for_mode(plant_node='running', controller_node='running')
+    # Before its first message the configured value holds, and both ends warn.
+    watcher.wait(lambda: voltage.used() == [20.0])
+    for node in ('plant_node', 'controller_node'):
+        watcher.wait(lambda node=node: 'nothing has come on battery/voltage'
+                     in reports.get(node, (0, '', {}))[1])
+    voltage(12.0)
+    # What is no voltage is counted and changes nothing; nor does silence, which is a warning.
+    for value in (math.nan, math.inf):
+        voltage(value, 12.0)
+    run.wait_for_line('loop.schedule_topic: not finite')
+    for node in ('plant_node', 'controller_node'):
+        watcher.wait(lambda node=node: 'has been silent for' in reports[node][1])
+        assert reports[node][2]['scheduling variable'] == '12'
+    assert voltage.used() == [12.0]
+    voltage(14.0, reliable=False)       # as sensors publish
+    voltage(99.0)                       # beyond the tables their last point holds
+    assert run.interrupt() == 0, run.output
+
+    data = read_run(tmp_path / 'run')
+    psi = data.channels['terms']['psi_before']
+    assert list(dict.fromkeys(psi.tolist())) == [20.0, 12.0, 14.0, 99.0]
+    # The simulated dead-zone is that of the voltage, in the middle of each stretch.
+    c = load_configuration('thruster', SETTINGS)
+    command, terms, truth = (data.channels[name] for name in ('command', 'terms', 'truth'))
+    checked = 0
+    for value, table in ((20.0, 20.0), (12.0, 12.0), (14.0, 14.0), (99.0, 20.0)):
+        numbers = c.dead_zone.numbers(Schedule((0.0,), (table,)))
+        rows = np.flatnonzero(psi == value)
+        middle = rows[len(rows) // 4:-len(rows) // 4]
+        possible = np.array([dead_zone(v, 0.0, numbers)
+                             for v in np.unique(np.round(command['v'])).tolist()])
+        echoed = terms['state_seq'][middle] if 'state_seq' in terms.labels else (
+            terms['seq'][middle])
+        w = truth['w'][np.isin(truth['seq'], echoed)]
+        w = w[w != 0.0]
+        checked += len(w)
+        # every output is that of some whole microsecond by the tables of this voltage
+        assert np.abs(w[:, None] - possible).min(axis=1).max(initial=0.0) < 1e-9, value
+    assert checked > 100
+    result = audit(data)
+    assert result.passed, result
