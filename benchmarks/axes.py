@@ -137,12 +137,9 @@ def table(found: dict[tuple[int, bool], list[tuple[float, Measured]]]) -> tuple[
         for _, item in turns:
             whole.add(item)
         trips = [statistics.median(item.round_trips) for _, item in turns]
-        rows = [in_turns('CPU', [share / own for (share, _), (own, _) in zip(turns, one,
-                                                                            strict=True)],
-                         CPU_TARGET),
-                in_turns('round trip', [trip / own for trip, (_, own) in zip(trips, one,
-                                                                             strict=True)],
-                         TRIP_TARGET)]
+        shares = [share / own for (share, _), (own, _) in zip(turns, one, strict=True)]
+        ratios = [trip / own for trip, (_, own) in zip(trips, one, strict=True)]
+        rows = [in_turns('CPU', shares, CPU_TARGET), in_turns('round trip', ratios, TRIP_TARGET)]
         if count == 6 and not apart:
             missed = any(row.missed for row in rows)
         cpu, trip = (row.cells()[1] if count > 1 else '' for row in rows)
