@@ -220,7 +220,7 @@ def _results(arguments: argparse.Namespace, subject: Subject) -> Iterator[Result
                                          lambda: stopping.reason, subject.hosted):
                 opened &= result.name != 'opens' or result.passed is not False
                 yield result
-        if subject.driver is not None and subject.driver.device_shared:
+        if subject.hosted is not None and subject.hosted.driver.device_shared:
             yield Result('as a node', None, 'not tried', 'as in docs/topics.md',
                          'its device is that of other axes too')
         elif find_spec('rclpy') is None:
