@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drives of several axes on one bus: one SYNC, one thread, and what one reports stops all."""
+"""Drives of several axes on one bus: one SYNC, one thread, and what one reports stops all.
+
+Over 300 lines: all of it needs the same machine of three drives.
+"""
 
 import itertools
 import threading
