@@ -90,6 +90,11 @@ class Driver(ABC):
         return self.configuration.plant.order
 
     @property
+    def device_shared(self) -> bool:
+        """Whether its device is that of other axes too: no host of this axis alone can have it."""
+        return False
+
+    @property
     def resolution(self) -> float:
         """One step of the position sensor [unit of x]; 0 = not known, or none."""
         return self.configuration.driver_settings.resolution

@@ -108,6 +108,11 @@ class Serial(Driver):
             1.0 if self._info is None else self._info.command_scale)
 
     @property
+    def device_shared(self) -> bool:
+        """Whether the device has motors of other axes."""
+        return len(self._board.motors) > 1
+
+    @property
     def measured(self) -> int:
         """How many of x, x', … are taken from the device."""
         return measured_of(self.configuration)
