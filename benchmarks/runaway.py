@@ -250,15 +250,15 @@ def loaded_run(name: str, duration: float, folder: Path, *settings: str) -> tupl
             end = event['node'].strip('/')
             counted[end if end in counted else 'actuator'] += 1
             stopped = stopped or ('controller' if end == 'controller_node' else 'actuator')
-    active = data.channels['terms']['dt'] > 0.0
-    return [f'{len(state)}', f'{int(active.sum())}', f'{int(skipped.sum())}',
+    adapts = data.channels['terms']['dt'] > 0.0      # not where v is at its limit
+    return [f'{len(state)}', f'{int(adapts.sum())}', f'{int(skipped.sum())}',
             f'{int((age[1:] > OLD).sum())}', f'{age[1:].max():.0f}',
             f'{counted["controller_node"]}', f'{counted["actuator"]}'], stopped
 
 
 def load_lines(duration: float) -> list[str]:
     """Return the table of loops beside load."""
-    lines = ['| loop | states | steps of the law | samples skipped | states with an old command '
+    lines = ['| loop | states | steps that adapt | samples skipped | states with an old command '
              '| oldest [samples] | alarms, controller | alarms, actuator | stopped by |',
              f'|{"---|" * 9}']
     with tempfile.TemporaryDirectory() as folder:

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 import csv
 import json
+from pathlib import Path
 import sys
 from typing import Any, TextIO, TYPE_CHECKING
 
@@ -51,6 +53,18 @@ def write_csv(table: Mapping[str, Any], file: TextIO) -> None:
         [f"'{name}" if name[:1] in FORMULA else name for name in names])
     file.writelines((form % row).replace('nan', '') for row in zip(
         *(item.tolist() for item in table.values()), strict=True))
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[None]:
+    """Remove a new file that cannot be written as a whole; name it in the error."""
+    try:
+        yield
+    except BaseException as error:
+        path.unlink(missing_ok=True)
+        if isinstance(error, OSError) and error.filename is None:
+            error.filename = str(path)
+        raise
 
 
 def note(text: str) -> None:

@@ -112,7 +112,7 @@ def _check_free(namespace: str) -> None:
         claim(domain_topic(topic)).close()
     except ClaimedError as error:
         raise LoopError(
-            f'topic {topic} is published by another loop on this machine (process {error.pid}): '
+            f'topic {topic} is published by another loop on this machine ({error.process}): '
             'stop that one, or use --namespace or another ROS_DOMAIN_ID') from None
 
 

@@ -18,7 +18,7 @@ from dz_ros.cli.options import (
     refuse_existing,
     require_folder,
 )
-from dz_ros.cli.output import print_lines, write_csv
+from dz_ros.cli.output import print_lines, whole_file, write_csv
 from dz_ros.cli.progress import stage
 from dz_ros.cli.table import format_table, metric_rows, window_title
 from dz_ros.core.dataset import from_runs
@@ -60,7 +60,8 @@ def run(arguments: argparse.Namespace) -> int:
         with stage(f'writing {arguments.record}'):
             save_run(state_configuration(data, memory), arguments.record)
     if csv is not None:
-        with csv.open('x', encoding='ascii', newline='') as file, stage(f'writing {csv}'):
+        file = csv.open('x', encoding='ascii', newline='')
+        with whole_file(csv), file, stage(f'writing {csv}'):
             write_csv(all_columns(done), file)
     if to_stdout:
         write_csv(all_columns(done), sys.stdout)

@@ -149,7 +149,7 @@ class ReplayNode(Node):
             except ClaimedError as error:
                 raise LoopError(
                     f'topic {publisher.topic_name} is published by a loop or another replay on '
-                    f'this machine (process {error.pid}): stop that one, or use another '
+                    f'this machine ({error.process}): stop that one, or use another '
                     'namespace or ROS_DOMAIN_ID') from None
         return publisher
 

@@ -18,11 +18,17 @@ MAX_DOMAIN = 232
 
 
 class ClaimedError(RuntimeError):
-    """Another process holds the claim: `pid`, 0 if not known."""
+    """Another process holds the claim.
+
+    Attributes:
+        pid: Its id; 0 = not known.
+        process: The same as text.
+    """
 
     def __init__(self, name: str, pid: int) -> None:
         self.pid = pid
-        super().__init__(f'{name} is claimed by process {pid}')
+        self.process = f'process {pid}' if pid else 'process not known'
+        super().__init__(f'{name} is claimed: {self.process}')
 
 
 def claim(name: str) -> socket.socket:
@@ -34,7 +40,7 @@ def claim(name: str) -> socket.socket:
     holder = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
         holder.bind('\0dz_ros/' + name)
-        holder.listen(1)
+        holder.listen(socket.SOMAXCONN)     # each process that is refused stays in its queue
     except OSError as error:
         if error.errno != errno.EADDRINUSE:
             return holder

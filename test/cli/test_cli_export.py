@@ -4,7 +4,10 @@
 import csv
 from dataclasses import replace
 import math
+import os
 from pathlib import Path
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -34,6 +37,27 @@ def test_csv_holds_every_number(table, tmp_path, capsys):
     for name, column in wanted.items():
         for row, number in zip(rows, column, strict=True):
             assert row[name] == '' if math.isnan(number) else float(row[name]) == number
+
+
+LIMITED = """
+import resource, sys
+from dz_ros.cli.main import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.parametrize('words', [
+    ['simulate', 'wang2004', '--duration', '2', '--csv'], ['bag', 'export', str(RUN), '--out'],
+    ['bag', 'export', str(RUN), '--mat', '--out']], ids=lambda words: ' '.join(words[:2]))
+def test_a_table_for_which_there_is_no_room_is_named_and_not_left_in_part(words, tmp_path):
+    out = tmp_path / 'table'
+    done = subprocess.run([sys.executable, '-c', LIMITED, *words, str(out)], timeout=120,
+                          capture_output=True, text=True, check=False, env={
+                              **os.environ, 'PYTHONPATH': str(Path(__file__).parents[2])})
+    assert done.returncode == 2
+    assert done.stderr == f'dz: error: {out}: File too large\n'
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_mat_has_column_vectors(table, tmp_path):

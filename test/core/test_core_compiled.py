@@ -43,10 +43,10 @@ def test_compiled_equals_plain_bit_for_bit_and_counts_no_references(overrides, m
     counted = []
     plain = module.compiled
 
-    def watched(function, allocates=False):
+    def watched(function, allocates=False, inner=False):
         if allocates:
             counted.append(function)
-        return plain(function, allocates)
+        return plain(function, allocates, inner)
 
     monkeypatch.setattr(module, 'compiled', watched)
     slow, fast = simulate(configuration), simulate_fast(configuration)

@@ -59,11 +59,6 @@ def make_node(name):
     return rclpy.create_node(name, namespace=OPTIONS['namespace'])
 
 
-def number_or_list(values):
-    """Return the value of one joint as a number."""
-    return values[0] if len(values) == 1 else list(values)
-
-
 class Controller:
     """The controller that forwards commands."""
 
@@ -190,8 +185,9 @@ class Robot:
             for joint, plant in zip(self._joints, self._plants, strict=True):
                 # A controller of another joint would be seen to move it all the same.
                 plant.command(given.get(joint, held[0]), now - self._start)
+        one = len(self._joints) == 1
         self._told.publish(String(data=json.dumps(
-            [self._controller.active, number_or_list(held), number_or_list(x), now])))
+            [self._controller.active, held[0] if one else held, x[0] if one else x, now])))
 
     def message(self, x, speed):
         if 'stuck' in self._words:

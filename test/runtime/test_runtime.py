@@ -49,6 +49,9 @@ def test_a_claim_is_exclusive_names_its_holder_and_dies_with_it():
     with pytest.raises(ClaimedError) as error:
         claim(name)
     assert error.value.pid == os.getpid()
+    for _ in range(50):         # each of those that are refused asks for it
+        with pytest.raises(ClaimedError, match=f'is claimed: process {os.getpid()}$'):
+            claim(name)
     held.close()
     claim(name).close()
 

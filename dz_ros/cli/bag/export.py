@@ -18,7 +18,7 @@ import numpy as np
 
 from dz_ros.cli.bag.recover import beside
 from dz_ros.cli.options import add_recording, read_axes, refuse_existing, require_folder
-from dz_ros.cli.output import note_run, print_lines, write_csv
+from dz_ros.cli.output import note_run, print_lines, whole_file, write_csv
 from dz_ros.cli.progress import stage
 from dz_ros.core.dataset import RunData
 from dz_ros.errors import MissingDependencyError
@@ -58,10 +58,11 @@ def run(arguments: argparse.Namespace) -> int:
         table, units = columns(runs)
     data = next(iter(runs.values()))
     if arguments.kind == 'csv':
-        with out.open('x', encoding='utf-8', newline='') as file, stage(f'writing {out}'):
+        file = out.open('x', encoding='utf-8', newline='')
+        with whole_file(out), file, stage(f'writing {out}'):
             write_csv(table, file)
     else:
-        with stage(f'writing {out}'):
+        with whole_file(out), stage(f'writing {out}'):
             WRITERS[arguments.kind](table, out)
     print_lines(', '.join(f'{name} [{unit}]' if unit else name for name, unit in units.items()))
     note_run(data)

@@ -91,7 +91,7 @@ def quick(function: Callable[..., Any]) -> Callable[..., Any]:
     Compiled where numba has been imported already, as it is elsewhere: its import takes longer
     than most of what calls this. The numbers are the same.
     """
-    return _quick(function) if 'numba' in sys.modules else function
+    return _quick(function) if 'numba' in sys.modules and available() else function
 
 
 @cache

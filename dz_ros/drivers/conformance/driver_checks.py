@@ -19,9 +19,9 @@ from typing import Any
 
 from dz_ros.core import schema
 from dz_ros.core.configuration import Configuration
+from dz_ros.drivers.conformance.beside import Beside
 from dz_ros.drivers.conformance.machine import lateness, MachineWatch, overlap, RunQueue
 from dz_ros.drivers.conformance.result import Result
-from dz_ros.drivers.contract import Driver
 from dz_ros.drivers.hosted import checked, error_text, HostedDriver
 from dz_ros.drivers.hosted_axes import HostedDrivers
 from dz_ros.errors import DriverError, DzRosError
@@ -117,7 +117,7 @@ class _Subject:
 
 def check_contract(configuration: Configuration, amplitude: float, saturate: bool,
                    stopped: Callable[[], str] = str,
-                   driver: Driver | None = None) -> Iterator[Result]:
+                   hosted: Beside | None = None) -> Iterator[Result]:
     """Yield the result of each check, in order; the device is let go at the end.
 
     Args:
@@ -125,13 +125,14 @@ def check_contract(configuration: Configuration, amplitude: float, saturate: boo
         amplitude: Largest command but for `saturate` [command unit].
         saturate: Whether a command beyond the limit may be sent, so that the limit acts.
         stopped: Returns why to stop, '' = go on; asked in every sample.
-        driver: The driver, where it was made together with those of other axes.
+        hosted: What holds the driver beside those of other axes; None = it is alone.
 
     Raises:
         ConfigurationError: The driver cannot be made of this configuration.
         DriverError: `stopped` gave a reason; the safe command has gone out.
     """
-    subject = _Subject(configuration, stopped, HostedDriver(configuration, driver))
+    subject = _Subject(configuration, stopped,
+                       HostedDriver(configuration) if hosted is None else hosted)
     yield _guarded(subject, 'declaration', 'complete',
                    lambda: _declaration(subject, configuration))
     try:

@@ -150,7 +150,7 @@ class LoopNode(Node):
         except ClaimedError as error:
             raise LoopError(
                 f'topic {publisher.topic_name} is published by another loop on this machine '
-                f'(process {error.pid}): stop that one, or use another namespace or ROS_DOMAIN_ID'
+                f'({error.process}): stop that one, or use another namespace or ROS_DOMAIN_ID'
             ) from None
         self._record_publishers[topic] = publisher
         encode = codec_for(tuple(labels), self._axes_of(topic)).encode

@@ -11,6 +11,7 @@ from dz_ros.core import schema
 from dz_ros.drivers.cia402.emulator import Cia402Emulator, EmulatedParameters, FAULTS
 from dz_ros.drivers.cia402.states import DriveState
 from dz_ros.drivers.conformance import driver_checks
+from dz_ros.drivers.conformance.beside import Beside
 from dz_ros.drivers.conformance.driver_checks import check_contract, check_together
 from dz_ros.drivers.emulators import Fault
 from dz_ros.drivers.hosted_axes import HostedDrivers
@@ -325,10 +326,10 @@ def test_one_axis_alone_leaves_the_other_drives_as_they_are(machine, until):
 def test_the_kit_checks_each_driver_beside_the_others(machine, monkeypatch):
     monkeypatch.setattr(driver_checks, 'RUN_DURATION', 0.3)
     m = machine()
-    drivers = m.configuration.make_drivers()
-    for name, driver in zip(NAMES, drivers, strict=True):
+    hosts = HostedDrivers(m.configuration)
+    for place, name in enumerate(NAMES):
         results = {item.name: item for item in check_contract(
-            m.configuration.axis(name), 1.0, False, driver=driver)}
+            m.configuration.axis(name), 1.0, False, hosted=Beside(hosts, place))}
         for key in ('declaration', 'opens', 'no fault', 'safe command', 'stop and reset',
                     'restart', 'reconnect'):       # the others are about time
             assert results[key].passed, (name, results[key])

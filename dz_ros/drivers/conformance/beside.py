@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One axis of several under test, the drivers of the others open beside it (ours).
+
+Axes may be devices of one bus or board, which is there for all of them or for none: all are
+opened, enabled and stopped together, and while one is commanded the others get their safe command.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dz_ros.drivers.hosted_axes import HostedDrivers
+
+
+class Beside:
+    """Holds one axis with the interface of `HostedDriver`, and the others as far as they must be.
+
+    Args:
+        hosts: The drivers of all axes.
+        place: Which one is under test.
+
+    Attributes:
+        own: What holds the driver under test.
+        driver: The driver under test.
+        measured: Number of the states x, x', … that it measures.
+    """
+
+    def __init__(self, hosts: HostedDrivers, place: int) -> None:
+        self._hosts = hosts
+        self._place = place
+        self.own = hosts.each[place]
+        self.driver = self.own.driver
+        self.measured = self.own.measured
+
+    def open(self) -> None:
+        """Open all.
+
+        Raises:
+            DriverError: One cannot be opened; the axis is named.
+        """
+        self._hosts.open()
+
+    def enable(self) -> None:
+        """Enable all.
+
+        Raises:
+            DriverError: One refuses; the axis is named.
+        """
+        self._hosts.enable()
+
+    @property
+    def enabled(self) -> bool:
+        """Whether it takes commands."""
+        return self.own.enabled
+
+    @property
+    def limit(self) -> float:
+        """Largest |v| it takes [command unit].
+
+        Raises:
+            DriverError: It is not known.
+        """
+        return self.own.limit
+
+    @property
+    def saturated(self) -> int:
+        """Commands beyond its limit."""
+        return self.own.saturated
+
+    def command(self, v: float, t: float) -> None:
+        """Give it a command, the others the safe one."""
+        self._hosts.command(self._row(v), t)
+
+    def safe(self, v: float, t: float) -> None:
+        """Have all go to their safe states."""
+        self._hosts.safe(self._row(v), t)
+
+    def advance(self, t: float, seq: int) -> None:
+        """Let all know that a sample ends."""
+        self._hosts.advance(t, seq)
+
+    def measure(self, t: float) -> tuple[float, ...] | None:
+        """Return its measurement."""
+        found = [item.measure(t) for item in self._hosts.each]
+        return found[self._place]
+
+    def fault(self) -> str:
+        """Return what is wrong with it; '' = nothing."""
+        return self.own.fault()
+
+    def recover(self) -> str:
+        """Have all try to leave their faults; return why its own lasts."""
+        return [item.recover() for item in self._hosts.each][self._place]
+
+    def disable(self, v: float, t: float) -> str:
+        """Disable all; return what went wrong."""
+        return self._hosts.disable(self._row(v), t)
+
+    def close(self) -> str:
+        """Close all; return what went wrong."""
+        return self._hosts.close()
+
+    def _row(self, v: float) -> tuple[float, ...]:
+        rows: list[Any] = [item.safe_command for item in self._hosts.each]
+        rows[self._place] = v
+        return tuple(rows)
