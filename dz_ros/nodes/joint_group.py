@@ -38,11 +38,11 @@ class JointGroup:
         each: Configurations of their axes; the keys of `joint_driver.SHARED` are the same.
 
     Attributes:
-        states: What is received of them.
+        states, each: What is received of them; their configurations.
     """
 
     def __init__(self, each: Sequence[Configuration]) -> None:
-        self._each = list(each)
+        self.each = list(each)
         self._shared: Any = each[0].driver_parameters
         self.states = JointStates(each)
         self._own: _OwnNode | None = None
@@ -61,10 +61,6 @@ class JointGroup:
         self._sample: JointSample | None = None
         self._asked_at = 0.0
         self._fault = ''
-
-    def __len__(self) -> int:
-        """Return the number of joints."""
-        return len(self._each)
 
     # Lifecycle.
 
@@ -156,7 +152,7 @@ class JointGroup:
 
     def configure(self, place: int, configuration: Configuration) -> None:
         """Use other parameters for a joint from now on."""
-        self._each[place] = configuration
+        self.each[place] = configuration
         if place == 0:
             self._shared = configuration.driver_parameters
             self.states.freshness = Freshness.of(self._shared.fresh, configuration)
@@ -167,7 +163,7 @@ class JointGroup:
         """Take the command of a joint, the safe one or not; send when each has been given one."""
         if self._given and (place == 0 or place in self._given):
             self._send()                # others were given none: what there is
-        self._values[self._each[place].driver_parameters.joint] = v
+        self._values[self.each[place].driver_parameters.joint] = v
         (self._safe.add if safe else self._safe.discard)(place)
         self._given.add(place)
         if self._given >= self._enabled:
@@ -186,7 +182,7 @@ class JointGroup:
         if sample is None or not freshness.holds(sample.arrived, self._asked_at):
             return None
         x = sample.x[place]
-        if not self._each[place].driver_parameters.extrapolate:
+        if not self.each[place].driver_parameters.extrapolate:
             return x
         velocity = x[1] if len(x) > 1 else self.states.velocity(place)
         return (freshness.advanced(x[0], velocity, self._asked_at - sample.taken), *x[1:])
@@ -196,7 +192,7 @@ class JointGroup:
         if self._judging.begins(place):
             self._fault = self._found_fault()
         lacking = self._controller.lacking if self._controller is not None else ()
-        mine = not lacking or self._each[place].driver_parameters.joint in lacking
+        mine = not lacking or self.each[place].driver_parameters.joint in lacking
         return self._fault if mine else ''
 
     def _found_fault(self) -> str:
