@@ -158,6 +158,11 @@ class Joint(Driver):
         return self.parameters.limit or math.inf
 
     @property
+    def device_shared(self) -> bool:
+        """Whether its controller commands joints of other axes too, and so refuses it alone."""
+        return len(self.group.joints) > 1
+
+    @property
     def refused(self) -> Mapping[str, int]:
         """Joint states of the group that were not taken, by cause; the first joint has them."""
         return {} if self._place else self.states.refused
