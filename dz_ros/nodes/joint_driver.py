@@ -139,7 +139,7 @@ class Joint(Driver):
     @property
     def device_shared(self) -> bool:
         """Whether its controller has joints of other axes."""
-        return len(self.group.each) > 1
+        return len(self.group.joints) > 1
 
     @property
     def measured(self) -> int:

@@ -6,7 +6,7 @@
 
 The host calls the drivers axis by axis. What it gives them goes out as one message when the last
 of them has been given its own; what it measures of one sample is one message, taken when the first
-of them is asked. A joint of the controller that no axis has is commanded `ABSENT`.
+of them is asked.
 """
 
 from __future__ import annotations
@@ -38,11 +38,12 @@ class JointGroup:
         each: Configurations of their axes; the keys of `joint_driver.SHARED` are the same.
 
     Attributes:
-        states, each: What is received of them; their configurations.
+        states: What is received of them.
+        joints: Their names, in the order of the axes.
     """
 
     def __init__(self, each: Sequence[Configuration]) -> None:
-        self.each = list(each)
+        self._each = list(each)
         self._shared: Any = each[0].driver_parameters
         self.states = JointStates(each)
         self._own: _OwnNode | None = None
@@ -54,6 +55,7 @@ class JointGroup:
         self._enabled: set[int] = set()
         self._ready = False
         self._values = {item.driver_parameters.joint: item.safety.safe_command for item in each}
+        self.joints = tuple(self._values)
         self._given: set[int] = set()       # since the last message
         self._safe: set[int] = set()        # whose command is the safe one
         self._sent_at = self._since = 0.0
@@ -75,9 +77,8 @@ class JointGroup:
             DriverError: A topic's name is none, or names no controller.
             MissingDependencyError: rclpy is not installed.
         """
-        first = not self._opened
         self._opened.add(place)
-        if not first:
+        if len(self._opened) > 1:
             return
         if self._node is None:
             self._own = _OwnNode()
@@ -98,7 +99,7 @@ class JointGroup:
                 raise DriverError(f'driver.{key} = {getattr(p, key)!r}: '
                                   f'{str(error).strip().splitlines()[0]}') from error
         self._controller = ForwardingController(
-            self._node, self._publisher, p.command_topic, p.controller, list(self._values),
+            self._node, self._publisher, p.command_topic, p.controller, self.joints,
             p.interface, p.activity_topic)
         self._timer = self._node.create_timer(
             REPEAT_PERIOD, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -152,7 +153,7 @@ class JointGroup:
 
     def configure(self, place: int, configuration: Configuration) -> None:
         """Use other parameters for a joint from now on."""
-        self.each[place] = configuration
+        self._each[place] = configuration
         if place == 0:
             self._shared = configuration.driver_parameters
             self.states.freshness = Freshness.of(self._shared.fresh, configuration)
@@ -163,7 +164,7 @@ class JointGroup:
         """Take the command of a joint, the safe one or not; send when each has been given one."""
         if self._given and (place == 0 or place in self._given):
             self._send()                # others were given none: what there is
-        self._values[self.each[place].driver_parameters.joint] = v
+        self._values[self.joints[place]] = v
         (self._safe.add if safe else self._safe.discard)(place)
         self._given.add(place)
         if self._given >= self._enabled:
@@ -182,7 +183,7 @@ class JointGroup:
         if sample is None or not freshness.holds(sample.arrived, self._asked_at):
             return None
         x = sample.x[place]
-        if not self.each[place].driver_parameters.extrapolate:
+        if not self._each[place].driver_parameters.extrapolate:
             return x
         velocity = x[1] if len(x) > 1 else self.states.velocity(place)
         return (freshness.advanced(x[0], velocity, self._asked_at - sample.taken), *x[1:])
@@ -192,8 +193,7 @@ class JointGroup:
         if self._judging.begins(place):
             self._fault = self._found_fault()
         lacking = self._controller.lacking if self._controller is not None else ()
-        mine = not lacking or self.each[place].driver_parameters.joint in lacking
-        return self._fault if mine else ''
+        return self._fault if not lacking or self.joints[place] in lacking else ''
 
     def _found_fault(self) -> str:
         """Return what is wrong; once it has lasted where it may come."""
