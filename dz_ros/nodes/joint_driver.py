@@ -137,6 +137,11 @@ class Joint(Driver):
                 for place, (item, topic) in enumerate(zip(each, topics, strict=True))]
 
     @property
+    def device_shared(self) -> bool:
+        """Whether its controller has joints of other axes."""
+        return len(self.group) > 1
+
+    @property
     def measured(self) -> int:
         """Number of states taken of a message: position, and velocity if wanted."""
         return self.parameters.measured or min(self.configuration.plant.order, 2)

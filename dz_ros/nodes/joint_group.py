@@ -62,6 +62,10 @@ class JointGroup:
         self._asked_at = 0.0
         self._fault = ''
 
+    def __len__(self) -> int:
+        """Return the number of joints."""
+        return len(self._each)
+
     # Lifecycle.
 
     def attach(self, node: Any) -> None:

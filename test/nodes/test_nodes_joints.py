@@ -62,6 +62,7 @@ def test_controllers_of_their_own_share_nothing():
     upper, fore, hand = c.make_drivers()
     assert upper.group is fore.group
     assert hand.group is not upper.group
+    assert (upper.device_shared, fore.device_shared, hand.device_shared) == (True, True, False)
 
 
 # What is sent and taken, without ROS.

@@ -46,7 +46,6 @@ AMPLITUDE = 0.1
 """Largest command sent unless the driver's limit is smaller [command unit]."""
 SHARE = 0.02
 """Largest command sent, as a share of the driver's limit."""
-NOT_THERE = 'not there'
 MARKS = {True: 'ok', False: 'FAILED', None: 'unseen'}
 
 
@@ -170,9 +169,6 @@ def _all(arguments: argparse.Namespace, machine: Configuration,
     for item in subjects:
         prefix = f'{item.axis}: ' if item.axis else ''
         for result in _results(arguments, item):
-            if item.hosted and (result.name, result.figure) == ('as a node', NOT_THERE):
-                # Axes of one board cannot be had alone, which is no flaw of the driver.
-                result = replace(result, passed=None)
             yield replace(result, name=prefix + result.name)
     if len(subjects) > 1:
         stopping = Stopping()
@@ -241,7 +237,7 @@ def _as_a_node(words: list[str], own: dict[str, Any], log: Path) -> Iterator[Res
                     yield from _through_topics(words, {**own, 'only': only}, host, log)
                 except DriverError as error:
                     end = host.terminate
-                    yield Result(only or 'as a node', False, NOT_THERE, 'publishes state',
+                    yield Result(only or 'as a node', False, 'not there', 'publishes state',
                                  str(error))
                     return
                 if host.poll() is not None:

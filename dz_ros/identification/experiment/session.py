@@ -103,19 +103,20 @@ def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver, limite
     """Run it; whatever ends it, the last thing the driver is given is the safe command."""
     nothing = (math.nan,) * c.plant.order
     seq, over, stall = 0, 0, -math.inf
+    x: tuple[float, ...] | None = None
     try:
         while over < LAST:
-            due, seq = seq, wait(seq)
+            x, due, seq = None, seq, wait(seq)
             t = seq * c.loop.period
             late = (seq - due) * c.loop.period
             experiment.stalled(late)
             if late >= STALL:
                 stall = t
             driver.advance(t, seq)
+            x = driver.measure(t)
             reason = stopped()
             if reason:
                 raise StoppedError(reason)
-            x = driver.measure(t)
             fault = driver.fault()
             if fault and t - stall <= AFTER:    # once for each stall
                 stall, x, fault = -math.inf, None, driver.recover()
@@ -135,4 +136,7 @@ def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver, limite
                          experiment.kind))
             seq += 1
     finally:
-        driver.safe(limiter.safe(seq * c.loop.period), seq * c.loop.period)
+        given = limiter.safe(seq * c.loop.period)
+        driver.safe(given, seq * c.loop.period)
+        if over < LAST and x is not None:       # the sample in which it was stopped
+            rows.append((seq, x, given, -1, 'rest'))
