@@ -3,7 +3,8 @@
 
 Exit code 0 after an orderly end, also by SIGINT, SIGTERM or SIGHUP; 2 after a user's mistake; 1
 after anything else that went wrong. rclpy is imported here and not before, so that its absence is
-one line as well.
+one line as well. This module imports next to nothing: until `_run` has its handler, a signal ends
+the process with a traceback, and a busy machine takes a second over some imports.
 """
 
 from __future__ import annotations
@@ -11,20 +12,12 @@ from __future__ import annotations
 from functools import partial
 import importlib
 import os
-from pathlib import Path
 import signal
 import sys
 from types import FrameType
 from typing import Any
 
-from dz_ros.core.text import printable
-from dz_ros.errors import DzRosError, NO_RCLPY
-from dz_ros.nodes.ros.middleware import wishes
-from dz_ros.runtime.claim import domain
 from dz_ros.runtime.import_path import drop_current_folder
-from dz_ros.runtime.log_folder import log_folder_fault, NO_LOG_FILES
-from dz_ros.runtime.privileges import ADVICE, ask, usable_cores
-from dz_ros.runtime.process import end_with_parent, settle
 from dz_ros.runtime.signals import ENDS, ignore_ends, on_ends
 
 NODES = {'plant_node': 'make_plant_node', 'actuator_node': 'ActuatorNode',
@@ -65,6 +58,14 @@ def _run(name: str) -> int:
     on_ends(end)
     # The parent may have held them back until now (`dz run` does).
     signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDS)
+    from pathlib import Path
+
+    from dz_ros.errors import DzRosError, NO_RCLPY
+    from dz_ros.nodes.ros.middleware import wishes
+    from dz_ros.runtime.claim import domain
+    from dz_ros.runtime.log_folder import log_folder_fault, NO_LOG_FILES
+    from dz_ros.runtime.process import end_with_parent
+
     end_with_parent()
     try:
         import rclpy
@@ -115,6 +116,9 @@ def _run(name: str) -> int:
 
 def _set_up(name: str, node: Any) -> None:
     """Set the process up as the configuration wants it; one line for all that is refused."""
+    from dz_ros.runtime.privileges import ADVICE, ask, usable_cores
+    from dz_ros.runtime.process import settle
+
     configuration = getattr(node, 'configuration', None)
     if configuration is None or name not in PRIORITY:
         settle(collect_garbage=True)    # no node waits for it
@@ -135,6 +139,8 @@ def _set_up(name: str, node: Any) -> None:
 
 def _close(name: str, node: Any) -> int:
     """Close a node; return the exit code of what went wrong in it, 0 if nothing."""
+    from dz_ros.errors import DzRosError
+
     try:
         if node is not None:
             node.close()
@@ -145,6 +151,8 @@ def _close(name: str, node: Any) -> int:
 
 def _report_mistake(name: str, message: str) -> int:
     """Write one line on standard error; return the exit code of a user's mistake."""
+    from dz_ros.core.text import printable
+
     sys.stderr.write(f'{name}: error: {printable(message)}\n')
     return 2
 

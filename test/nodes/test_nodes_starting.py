@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Starting and ending of a node's process: signals at any time, a home that is not there."""
 
+from pathlib import Path
 import signal
 import sys
 import time
@@ -10,6 +11,7 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
 
+ROOT = Path(__file__).parents[2]
 DZ = ('-m', 'dz_ros')
 MOST = 20_000
 """Signals sent to one process at most."""
@@ -43,6 +45,18 @@ def test_further_signals_do_not_break_the_end_of_a_node(processes, name, number,
     bombard(node, number, pause)
     assert node.wait() == 0, node.output
     assert 'Traceback' not in node.output
+
+
+def test_before_a_node_takes_signals_it_imports_next_to_nothing(processes):
+    script = ('import sys; before = set(sys.modules); import dz_ros.nodes.main; '
+              'print(*sorted(set(sys.modules) - before))')
+    started = processes(sys.executable, '-S', '-c', script, PYTHONPATH=str(ROOT))
+    assert started.wait() == 0, started.output
+    loaded = {name for name in started.output.split() if name.partition('.')[0] == 'dz_ros'}
+    assert loaded == {'dz_ros', 'dz_ros.nodes', 'dz_ros.nodes.main', 'dz_ros.runtime',
+                      'dz_ros.runtime.import_path', 'dz_ros.runtime.signals'}
+    assert not {'ctypes', 'dataclasses', 'json', 'socket', 'tempfile'} & set(
+        started.output.split())
 
 
 @pytest.mark.parametrize('pause', [0.0, 0.003])
