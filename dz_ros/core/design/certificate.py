@@ -51,6 +51,7 @@ from dz_ros.core.design.intervals import (
 from dz_ros.core.design.linear_loop import largest_beta
 from dz_ros.core.design.loop_sums import loop_sums, LoopSums, SMOOTH
 from dz_ros.core.loop.offline import simulate
+from dz_ros.core.plants.coupled import CoupledPlant
 from dz_ros.core.tracking import error_weights, feed_forward_weights
 from dz_ros.errors import ConfigurationError
 
@@ -528,6 +529,8 @@ def _words(given: Configuration, c: Configuration, estimates: Sequence[tuple[flo
     least, largest = zone.slopes(c.loop.schedule)
     if least != largest:
         assumed.append("that slopes do not differ or drift, which the plant's section contradicts")
+    if isinstance(c.plant, CoupledPlant):
+        assumed.append('the other axes of the plant rest: what they do to this one is not covered')
     proven = ['with outward rounding: at every sample |s| stays within the bound, so the loop '
               'never leaves its layer if that is within ε; |x̃_i| stays within its bound, between '
               f'the samples too, for a delay of {", ".join(map(str, delays))} samples']
