@@ -160,8 +160,8 @@ def test_nobody_there_is_one_line(processes):
 
 
 @pytest.mark.parametrize(('given', 'message'), [
-    ((), 'give either a driver or --topics'),
-    (('mock', '--topics'), 'give either'),
+    ((), 'give a driver, a configuration or --topics'),
+    (('mock', '--topics'), 'give a driver, a configuration or --topics'),
     (('no_such',), 'no such driver'),
     (('--topics',), 'give --yes without a terminal'),
     (('mock', '--amplitude', '-1'), '--amplitude'),
