@@ -245,7 +245,7 @@ def test_an_axis_at_its_limit_alone_is_held_back_and_its_adaptation_alone_frozen
     commands = np.array([item.data[2::width] for item in operator.heard['command']])
     assert np.abs(commands[:, yaw]).max() == 0.2
     assert np.abs(commands[:, :yaw]).max(axis=0).min() > 0.2
-    operator.wait(lambda: int(reported['/controller_node'].get(
+    operator.wait(lambda: int(reported.get('/controller_node', {}).get(
         'yaw: frozen: saturated [samples]', 0)) > 20)
     for axis in AXES[:-1]:
         assert reported['/controller_node'].get(f'{axis}: frozen: saturated [samples]', '0') == '0'
