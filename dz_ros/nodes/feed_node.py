@@ -68,6 +68,9 @@ class FeedNode(LoopNode):
         if self._exchanges.carried:
             self.get_logger().info(f'{self._exchanges.carried} references brought to the stamp of '
                                    'a state, as was done then')
+        if self._exchanges.foreign:
+            self.get_logger().warning(f'{self._exchanges.foreign} messages left out: they are no '
+                                      'records of such a loop')
         if self._exchanges.missing:
             self.get_logger().warning(f'{self._exchanges.missing} samples could not be fed: their '
                                       'state or reference is not in the run')

@@ -51,6 +51,7 @@ class Exchanges:
         count: Samples yielded so far.
         missing: Answers without the state or the reference they name: those are not in the run.
         carried: References that were used at another stamp than their own.
+        foreign: Messages that are no records of such a loop, as another program may publish.
 
     Raises:
         RecordingError: The run cannot be read, or lacks one of the topics needed.
@@ -77,13 +78,14 @@ class Exchanges:
         self._references: dict[int, Reference] = {}
         self._queue: deque[tuple[int, int]] = deque()
         self._last: int | None = None
-        self.count = self.missing = self.carried = 0
+        self._reason = ''
+        self.count = self.missing = self.carried = self.foreign = 0
 
     def __iter__(self) -> Iterator[Exchange]:
         """Yield them in the order in which they were answered.
 
         Raises:
-            RecordingError: The run cannot be read further.
+            RecordingError: The run cannot be read further, or none of its messages is a record.
         """
         for batch in self._source.batches():
             for message in batch:
@@ -93,6 +95,8 @@ class Exchanges:
                     yield from self._ready(len(self._queue) > WINDOW)
         while self._queue:
             yield from self._ready(True)
+        if self.foreign and not self.count:
+            raise RecordingError(self._reason)
 
     def _ready(self, give_up: bool) -> Iterator[Exchange]:
         """Yield the samples that are complete; give up on the first that is not, if asked to."""
@@ -127,7 +131,8 @@ class Exchanges:
                         else _SAME_REFERENCE)
                 self._queue.append((int(numbers[labels.index('echo_seq')]), used))
         except (ValueError, OverflowError) as error:    # a seq that is not a number, too
-            raise RecordingError(f'{self._source.path}: {name}: {error}') from None
+            self.foreign += 1
+            self._reason = self._reason or f'{self._source.path}: {name}: {error}'
 
     def _decode(self, name: str, payload: bytes) -> tuple[float, ...]:
         """Return the numbers of a message."""

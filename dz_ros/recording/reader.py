@@ -95,28 +95,23 @@ def read_run(path: Path, namespace: str | None = None) -> RunData:
     tables: dict[str, Table] = {}
     events: dict[str, list[Event]] = {}
     room = MOST_EVENT_BYTES
-    try:
-        for batch in source.batches():
-            for name, messages in _by_topic(batch).items():
-                place, channel = plain[name]
-                if not source.topics[name].is_channel(channel) or wanted not in (None, place):
-                    continue
-                if channel == EVENTS:
-                    room = _take_events(source, messages, room)
-                    events.setdefault(place, []).extend(_event(item) for item in messages)
-                    continue
-                _, payloads, log_times, publish_times = zip(*messages, strict=True)
-                tables.setdefault(name, Table(name)).add(payloads, log_times, publish_times)
-    except MessageError as error:
-        raise RecordingError(f'{path}: {error}') from None
+    for batch in source.batches():
+        for name, messages in _by_topic(batch).items():
+            place, channel = plain[name]
+            if not source.topics[name].is_channel(channel) or wanted not in (None, place):
+                continue
+            if channel == EVENTS:
+                room = _take_events(source, messages, room)
+                events.setdefault(place, []).extend(_event(item) for item in messages)
+                continue
+            _, payloads, log_times, publish_times = zip(*messages, strict=True)
+            tables.setdefault(name, Table(name)).add(payloads, log_times, publish_times)
     chosen = _choose(source, wanted, {plain[name][0] for name in tables} or set(events))
     found = events.get(chosen, [])
     configuration = source.configuration() or _stated(found)
     info = {**configuration_info(configuration), **source.info()}
     if source.cut:
         info['cut'] = source.cut
-    if source.notes:
-        info['notes'] = '; '.join(source.notes)
     chosen_tables = {plain[name][1]: table for name, table in tables.items()
                      if plain[name][0] == chosen}
     try:
@@ -124,6 +119,9 @@ def read_run(path: Path, namespace: str | None = None) -> RunData:
                     if name in chosen_tables}
     except MessageError as error:
         raise RecordingError(f'{path}: {error}') from None
+    notes = [*source.notes, *(note for table in chosen_tables.values() for note in table.notes)]
+    if notes:
+        info['notes'] = '; '.join(notes)
     return RunData(channels, configuration, info, tuple(found))
 
 

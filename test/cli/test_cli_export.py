@@ -42,8 +42,11 @@ def test_csv_holds_every_number(table, tmp_path, capsys):
 LIMITED = """
 import resource, sys
 from dz_ros.cli.main import main
-resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
-sys.exit(main(sys.argv[1:]))
+limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+code = main(sys.argv[1:])
+resource.setrlimit(resource.RLIMIT_FSIZE, limits)       # coverage writes its own
+sys.exit(code)
 """
 
 

@@ -158,6 +158,17 @@ def test_one_of_several_loops_is_chosen():
         Exchanges(run, namespace='middle')
 
 
+def test_messages_of_another_program_are_left_out():
+    run = Run()
+    run.reference(0).state(0).terms(0)
+    for topic in ('state', 'reference', 'terms'):
+        run.add(topic, ('seq', 'stamp', 'y'), 1, 2.0, 3.0)
+    run.reference(1).state(1).terms(1)
+    found = Exchanges(run)
+    assert [state.seq for state, _ in found] == [0, 1]
+    assert (found.foreign, found.missing) == (3, 0)
+
+
 @pytest.mark.parametrize('lacking', ['state', 'reference'])
 def test_a_run_that_lacks_a_topic_is_named(lacking):
     topics = [name for name in ('state', 'reference', 'terms', 'command') if name != lacking]

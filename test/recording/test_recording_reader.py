@@ -11,6 +11,7 @@ import pytest
 
 from dz_ros.core.dataset import Channel, RunData
 from dz_ros.errors import RecordingError, RunNotFoundError
+from dz_ros.recording.axes_cdr import AxesCodec
 from dz_ros.recording.cdr import ArrayCodec, encode_string
 from dz_ros.recording.channels import ARRAY, TEXT
 from dz_ros.recording.reader import read_run, run_info
@@ -216,9 +217,6 @@ BARE = struct.pack('<4sIII4x2d', b'\x00\x01\x00\x00', 0, 0, 2, 1.0, 2.0)
     ({'state': (ARRAY.name, 'cdr', [BARE])}, r'/state does not carry .* 2 numbers without names'),
     ({'state': (ARRAY.name, 'cdr', [ArrayCodec(('x', 'y')).encode([1, 2])])}, 'carries x, y'),
     ({'state': (ARRAY.name, 'cdr', [b'nonsense'])}, '/state: message 0: not a CDR message'),
-    ({'state': (ARRAY.name, 'cdr', [STATE.encode([0, 0, 0]),
-                                    ArrayCodec(('seq', 'stamp', 'y0')).encode([0, 0, 0])])},
-     r'/state: message 1: .* carries seq, stamp, y0; expected seq, stamp, x0'),
     ({'events': (TEXT.name, 'cdr', [b'\x00\x01\x00\x00\xff\xff\xff\xff'])}, '/events: message is'),
 ])
 def test_foreign_contents_are_named(tmp_path, topics, reason):
@@ -226,6 +224,38 @@ def test_foreign_contents_are_named(tmp_path, topics, reason):
     with pytest.raises(RecordingError, match=reason) as error:
         read_run(path)
     assert '\n' not in str(error.value)
+
+
+OTHER = ArrayCodec(('seq', 'stamp', 'y0')).encode([7, 0, 0])
+SEVERAL = AxesCodec(('seq', 'stamp', 'x0'), ('left', 'right')).encode([7, 0, 0, 7, 0, 0])
+
+
+@pytest.mark.parametrize(('foreign', 'reason'), [
+    (OTHER, 'of another layout left out, the first is message {}: message carries seq, stamp, '
+            'y0; expected seq, stamp, x0'),
+    (SEVERAL, 'of another layout left out, the first is message {}: message carries 6 numbers'),
+    (BARE, '2 numbers without names'), (b'nonsense', 'message {}: not a CDR message'),
+    (STATE.encode([float('nan'), 0, 0]), 'message {}: seq is nan')], ids=[
+        'labels', 'axes', 'no names', 'no message', 'no count'])
+@pytest.mark.parametrize('place', [0, 1, 3])
+def test_messages_of_another_program_are_left_out(tmp_path, foreign, reason, place):
+    payloads = [STATE.encode([k, 0.1 * k, k]) for k in range(3)]
+    payloads.insert(place, foreign)
+    data = read_run(other_mcap(tmp_path / 'a.mcap', state=(ARRAY.name, 'cdr', payloads)))
+    assert data.channels['state']['x0'].tolist() == [0, 1, 2]
+    assert data.info['notes'].count('1 message') == 1
+    assert 'topic /state' in data.info['notes']
+    assert reason.format(place) in data.info['notes']
+
+
+def test_many_layouts_are_left_out(tmp_path):
+    others = [ArrayCodec(('seq', 'stamp', f'y{k}')).encode([k, 0, 0]) for k in range(40)]
+    payloads = [STATE.encode([k, 0.1 * k, k]) for k in range(2)]
+    data = read_run(other_mcap(tmp_path / 'a.mcap', state=(
+        ARRAY.name, 'cdr', [*others[:8], *payloads, *others[8:]])))
+    assert data.channels['state']['x0'].tolist() == [0, 1]
+    assert '25 messages left out: ' in data.info['notes']
+    assert 'more than 16 layouts' in data.info['notes']
 
 
 def test_what_is_no_run(tmp_path):

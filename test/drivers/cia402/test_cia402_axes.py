@@ -168,6 +168,7 @@ def test_opening_and_enabling_one_after_the_other_keeps_the_sync(machine, monkey
     found.each[0].open()
     shared = found.each[0].driver.shared
     counted, real = [], shared.sync
+    opened, before = [], []
 
     def sync(drives):
         counted.append(len(drives))
@@ -179,13 +180,15 @@ def test_opening_and_enabling_one_after_the_other_keeps_the_sync(machine, monkey
         if index == 0x1017:         # one that is just kept
             wanted = len(counted) + 10
             until(lambda: len(counted) >= wanted)
+            before.append((len(opened), max(counted)))
 
     for name in NAMES[1:]:
         m.node(name).canopen.add_read_callback(slow)
     for item in found.each[1:]:
         item.open()
+        opened.append(item)
     assert len(counted) >= 20
-    assert max(counted) < 3                    # none is served before it is configured
+    assert set(before) == {(0, 1), (1, 2)}     # none is served before it is configured
     for item in found.each:
         item.enable()
     until(lambda: counted[-1] == 3)
