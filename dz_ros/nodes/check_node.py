@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The conformance kit's second half: a driver's node against docs/topics.md, from outside.
 
-It takes the controller's place, answers states with small commands, then provokes: bad messages,
-silence, a commander that restarts, the e-stop, a commander that goes and comes back. It needs
-nothing but the topics; where the node also publishes `events`, `truth` or diagnostics, these show
-what the actuator does; where it does not, that is reported as unseen. Results are JSON lines on
-standard output, for ``dz driver check``.
+It takes the controller's place, of several axes for one of them, answers states with small
+commands, then provokes: bad messages, silence, a commander that restarts, the e-stop, a commander
+that goes and comes back. It needs nothing but the topics; where the node also publishes `events`,
+`truth` or diagnostics, these show what the actuator does; where it does not, that is reported as
+unseen. Results are JSON lines on standard output, for ``dz driver check``.
 
 Over 300 lines: the checks share one stream of evidence.
 """
@@ -59,10 +59,13 @@ class CheckNode(LoopNode):
         self._amplitude = self.given('amplitude', 0.1, 'largest command sent [command unit]')
         self._limit = self.given('limit', 0.0, 'send twice this, which the driver must limit; '
                                  '0 = do not [command unit]')
+        axis = self.given('axis', '', 'the axis to check, of a configuration of several')
+        self._axes = self.configuration.axis_names
+        self._own = self.configuration.axis(axis) if self._axes else self.configuration
         self._only = self.given('only', '', 'the one check to make, under this name; empty = all')
         self._period = self.configuration.loop.period
-        self._safe = self.configuration.safety.safe_command
-        self._evidence = Evidence(self, self._answer)
+        self._safe = self._own.safety.safe_command
+        self._evidence = Evidence(self, axis, self._answer)
         self._estop = EstopTopic(self)
         self.unspun += self._estop.subscriptions
         self.urgent = self._check_estop
@@ -103,9 +106,11 @@ class CheckNode(LoopNode):
         evidence = self._evidence
         if evidence.wrong_labels:
             yield Result('order and labels', False, evidence.wrong_labels, 'of order '
-                         f'{self.configuration.plant.order}', 'see docs/topics.md')
+                         f'{self._own.plant.order}', 'see docs/topics.md')
             return
-        self._acts(RECOVERY)
+        if not self._acts(RECOVERY):    # it was left alone before, and is in a fault
+            evidence.reset(RECOVERY)
+            self._acts(RECOVERY)
         evidence.begin()
         self._watch.stalls()
         self._holding = True
@@ -113,7 +118,7 @@ class CheckNode(LoopNode):
         self._holding = False
         yield from check_stream(
             evidence.states, evidence.arrivals, evidence.commands, self._period,
-            self.configuration.plant.order, evidence.taken, self._watch.stalls())
+            self._own.plant.order, evidence.taken, self._watch.stalls())
         for name, check in (
                 ('bad messages refused', self._bad_messages), ('saturation', self._saturation),
                 ('stale command', self._silence), ('commander restarts', self._new_commander),
@@ -143,15 +148,18 @@ class CheckNode(LoopNode):
     # The checks that provoke.
 
     def _bad_messages(self, name: str) -> Result:
-        """NaN, infinities, seq back and far ahead, wrong labels: none may be echoed."""
+        """NaN, infinities, seq back and far ahead, wrong labels or axes: none may be echoed."""
         self._wait(0.1)     # commands were not sent while figures were made; then any seq is taken
         evidence, labels = self._evidence, Command.labels()
         before, last = len(evidence.states), self._seq
-        kinds: list[tuple[int, float, float, Sequence[str]]] = [
-            (400, math.nan, 0.0, labels), (410, math.inf, 0.0, labels),
-            (420, -math.inf, 0.0, labels), (430, 0.0, math.nan, labels), (5000, 0.0, 0.0, labels),
-            (-50, 0.0, 0.0, labels), (450, 0.0, 0.0, ('nonsense', *labels[1:])),
-            (460, 0.0, 0.0, labels[:-1])]
+        axes = self._axes
+        kinds: list[tuple[int, float, float, Sequence[str], Sequence[str]]] = [
+            (400, math.nan, 0.0, labels, axes), (410, math.inf, 0.0, labels, axes),
+            (420, -math.inf, 0.0, labels, axes), (430, 0.0, math.nan, labels, axes),
+            (5000, 0.0, 0.0, labels, axes), (-50, 0.0, 0.0, labels, axes),
+            (450, 0.0, 0.0, ('nonsense', *labels[1:]), axes), (460, 0.0, 0.0, labels[:-1], axes)]
+        if axes:
+            kinds += [(470, 0.0, 0.0, labels, axes[::-1]), (480, 0.0, 0.0, labels, axes[:-1])]
         with evidence.stranger() as send:
             found = [self._provoke(send, *kind) for kind in kinds]
         self._wait(0.5)
@@ -168,8 +176,8 @@ class CheckNode(LoopNode):
                       words or ('commands come too late to show that seq is judged' if unseen
                                 else ''))
 
-    def _provoke(self, send: Send, ahead: int, v: float, later: float,
-                 names: Sequence[str]) -> tuple[int | None, bool]:
+    def _provoke(self, send: Send, ahead: int, v: float, later: float, names: Sequence[str],
+                 axes: Sequence[str]) -> tuple[int | None, bool]:
         """Send a bad message between two good ones, again where no good one came for too long.
 
         Args:
@@ -178,18 +186,19 @@ class CheckNode(LoopNode):
             v: Its command.
             later: Its stamp beyond that of the newest state [s].
             names: Its labels.
+            axes: Its axes.
 
         Returns:
             Its seq if it acted, and whether it might: after too long a time any seq is taken.
         """
         states, commands = self._evidence.states, self._evidence.commands
-        hold, number = self.configuration.safety.command_hold, 0
+        hold, number = self._own.safety.command_hold, 0
         for _ in range(ATTEMPTS):
             state, before, number = states[-1], len(states), self._seq + ahead
             # A reader of the newest sees the last of a burst: this is the last for a period.
             self._unanswered = 1 if not hold or hold > 2 else 0
             send(names, (number, state.stamp + later, v, state.seq, state.stamp,
-                         0.0)[:len(names)])
+                         0.0)[:len(names)], axes)
             self._wait(2.3 * self._period)
             age = next((item.stamp - earlier.echo_stamp
                         for earlier, item in pairwise(states[before - 1:])
@@ -225,7 +234,7 @@ class CheckNode(LoopNode):
 
     def _silence(self, name: str) -> Result:
         """No commands: the safe one within `safety.command_hold`."""
-        hold = self.configuration.safety.command_hold
+        hold = self._own.safety.command_hold
         limit = f'<= {hold + 2} samples'
         if not hold:
             return Result(name, None, 'safety.command_hold is 0', limit, 'a command never ages')
@@ -247,7 +256,7 @@ class CheckNode(LoopNode):
     def _new_commander(self, name: str) -> Result:
         """A commander that restarts after a silence counts from 0."""
         self._answering = False
-        self._wait((self.configuration.safety.command_hold + 20) * self._period)
+        self._wait((self._own.safety.command_hold + 20) * self._period)
         self._answering = True
         acts = self._acts(RECOVERY, fresh=True)
         return Result(name, acts, 'acts' if acts else 'does not act',
@@ -296,7 +305,7 @@ class CheckNode(LoopNode):
         """The commander's publisher goes and comes back."""
         self._answering = False
         self._evidence.disconnect()
-        self._wait(self.configuration.safety.fault_after * self._period + 0.5)
+        self._wait(self._own.safety.fault_after * self._period + 0.5)
         self._evidence.connect()
         started = time.monotonic()
         self._answering = True

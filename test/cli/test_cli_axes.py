@@ -236,7 +236,7 @@ def test_the_kit_names_the_axis_that_fails(config, capsys, monkeypatch):
 
 
 def test_what_cannot_be_checked_is_one_line(config, capsys):
-    for words, text in ((['--topics', '--config', config], 'choose it with --axis'),
+    for words, text in ((['--topics', '--config', config, '--axis', 'none'], '--axis'),
                         ([], 'give a driver, a configuration or --topics'),
                         (['mock', '--topics'], 'give a driver, a configuration or --topics'),
                         ([config, '--amplitude', '-1', '--yes'], 'of axis surge'),

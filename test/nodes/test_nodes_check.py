@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from dz_ros.files.configurations import format_parameters, load_configuration
+
 rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
 
@@ -68,6 +70,25 @@ def test_a_broken_node_fails_the_check_that_is_for_it(processes, path, flaw, nam
     assert found[name]['passed'] is False, words(found)
     assert found[name]['words']
     assert code == 1
+
+
+def test_every_axis_of_a_node_passes_from_outside(processes, tmp_path):
+    config = tmp_path / 'two.yaml'
+    config.write_text('loop: {axes: [left, right], peers: [], duration: 0.0}\nplant: {model: first_order}\n'
+                      'driver: {name: simulated}\n', encoding='utf-8')
+    files = tmp_path / 'parameters.yaml'
+    files.write_text(format_parameters(load_configuration(str(config), [], '')), encoding='utf-8')
+    processes('-m', 'dz_ros.nodes.main', 'actuator_node', '--ros-args', '--params-file', files)
+    kit = processes(*DZ, '--topics', '--config', config, '--yes', '--json')
+    code, found = kit.wait(2 * TIME_OUT), results(kit)
+    assert list(found) == [f'{axis}: {name}' for axis in ('left', 'right') for name in NAMES], (
+        kit.output)
+    for axis in ('left', 'right'):
+        own = {name: found[f'{axis}: {name}'] for name in NAMES}
+        assert {name for name in NAMES if own[name]['passed'] is not True} <= {
+            'saturation', *LATE}, words(own)
+        assert own['bad messages refused']['figure'] == '10 of 10', words(own)
+    assert code == (1 if any(item['passed'] is False for item in found.values()) else 0)
 
 
 @pytest.mark.parametrize('driver', ['simulated', 'mock'])

@@ -5,7 +5,7 @@ NAME, or the drivers that CONFIG names, is checked in this process
 (``drivers/conformance/driver_checks.py``), then as a node: hosted by actuator_node, observed and
 commanded through topics, killed and started again. Of several axes each is checked so, in this
 process beside the others, which get their safe command, as a node alone; in the end all of them
-move together. ``--topics`` checks a running node of any language.
+move together. ``--topics`` checks a running node of any language, axis by axis.
 """
 
 from __future__ import annotations
@@ -97,9 +97,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Check; print a line for each check; return 0, or 1 where one failed."""
     machine = _configuration(arguments)
     names = machine.axis_names or ('',)
-    hosts = HostedDrivers(machine) if len(names) > 1 else None
+    hosts = HostedDrivers(machine) if len(names) > 1 and not arguments.topics else None
     subjects = [_subject(arguments, name, c, Beside(hosts, place) if hosts else None)
-                for place, (name, c) in enumerate(zip(names, machine.each, strict=True))]
+                for place, (name, c) in enumerate(zip(names, machine.each, strict=True))
+                if arguments.axis in (None, '', name) or not machine.axes]
     if arguments.topics:
         check_rclpy()
     _ask(arguments, machine, max(item.amplitude for item in subjects))
@@ -130,10 +131,8 @@ def _configuration(arguments: argparse.Namespace) -> Configuration:
         config or CONFIG, [*arguments.overrides, *chosen], arguments.namespace).replace(
         **{'loop.timing': 'realtime', 'loop.duration': 0.0, 'loop.peers': ['plant_node']})
     if arguments.axis is not None:
-        machine = machine.axis(arguments.axis)
-    if machine.axes and arguments.topics:
-        raise ConfigurationError('loop.axes', list(machine.axis_names), 'a node of one axis is '
-                                 'checked through its topics: choose it with --axis')
+        own = machine.axis(arguments.axis)
+        return machine if arguments.topics else own     # the node publishes all axes
     return machine
 
 
@@ -168,9 +167,10 @@ def _all(arguments: argparse.Namespace, machine: Configuration,
     """Yield the results of each axis, then of all together, named by axis."""
     for item in subjects:
         prefix = f'{item.axis}: ' if item.axis else ''
-        for result in _results(arguments, item):
+        for result in (_of_a_node(arguments, machine, item) if arguments.topics else
+                       _results(arguments, item)):
             yield replace(result, name=prefix + result.name)
-    if len(subjects) > 1:
+    if len(subjects) > 1 and not arguments.topics:
         stopping = Stopping()
         with stop_on_estop(stopping, machine.driver_class.lockstep, arguments.namespace):
             for result in check_together(machine, [item.amplitude for item in subjects],
@@ -198,17 +198,31 @@ def _ask(arguments: argparse.Namespace, c: Configuration, amplitude: float) -> N
         raise ConfigurationError('--yes', False, 'nothing was sent')
 
 
+def _of_a_node(arguments: argparse.Namespace, machine: Configuration,
+               subject: Subject) -> Iterator[Result]:
+    """Yield every result of an axis of the node that publishes the states now."""
+    with ParameterFiles() as files:
+        yield from _through_topics(_words(arguments, machine, files),
+                                   {**_own(arguments, subject), 'axis': subject.axis})
+
+
+def _words(arguments: argparse.Namespace, c: Configuration, files: ParameterFiles) -> list[str]:
+    """Return the namespace and the parameters of a node, as words of its command line."""
+    return ['--ros-args', '-r', f'__ns:=/{arguments.namespace.strip("/")}', '--params-file',
+            files.add(format_parameters(c))]
+
+
+def _own(arguments: argparse.Namespace, subject: Subject) -> dict[str, Any]:
+    """Return the parameters of the kit's node alone."""
+    limited = arguments.saturate and math.isfinite(subject.limit)
+    return {'amplitude': subject.amplitude, 'limit': subject.limit if limited else 0.0}
+
+
 def _results(arguments: argparse.Namespace, subject: Subject) -> Iterator[Result]:
     """Yield every result of an axis: in this process, then through topics."""
-    c, limit = subject.configuration, subject.limit
-    own: dict[str, Any] = {'amplitude': subject.amplitude,
-                           'limit': limit if arguments.saturate and math.isfinite(limit) else 0.0}
-    words = ['--ros-args', '-r', f'__ns:=/{arguments.namespace.strip("/")}']
+    c, own = subject.configuration, _own(arguments, subject)
     with ParameterFiles() as files:
-        words += ['--params-file', files.add(format_parameters(c))]
-        if arguments.topics:
-            yield from _through_topics(words, own)
-            return
+        words = _words(arguments, c, files)
         opened = True
         stopping = Stopping()
         with stop_on_estop(stopping, c.driver_class.lockstep, arguments.namespace):

@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the conformance kit receives of a driver's node: states, and what else it may publish."""
+"""What the conformance kit receives of a driver's node: states, and what else it may publish.
+
+Of several axes one is watched: its row of every message. In the commands that go out the other
+axes have their safe ones.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +18,15 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
+from dz_ros.core.axes import split
+from dz_ros.core.configuration import Configuration
 from dz_ros.core.events import EventError, ModeEvent, parse
 from dz_ros.core.records import Command, State, Truth
 from dz_ros.errors import MessageError
 from dz_ros.nodes.ros import topics
 from dz_ros.nodes.ros.base import LoopNode
 from dz_ros.nodes.ros.graph import publishers
+from dz_ros.recording.axes_cdr import codec_for
 from dz_ros.recording.cdr import ArrayCodec
 
 ANY_QOS = QoSProfile(depth=200, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -29,10 +36,34 @@ SAFE_MODES = ('lost', 'fault', 'estop', 'waiting')
 """Modes in which a host of ours holds the safe command."""
 DISCOVERY_TIMEOUT = 5.0
 """Longest wait for a subscriber to be found [s]."""
-Send = Callable[[Sequence[str], Sequence[float]], None]
-"""Sends a message of these labels and numbers."""
+Send = Callable[[Sequence[str], Sequence[float], Sequence[str]], None]
+"""Sends a message of these labels, these numbers of the axis watched, and of these axes."""
+_V = Command.labels().index('v')
 LIMITED_COUNTS = ('held back by a limit', 'saturated by the device [commands]')
 """Values of the diagnostics that count limited commands."""
+
+
+class _Rows:
+    """The row of one axis in messages of all; of a loop of one axis, all numbers."""
+
+    def __init__(self, configuration: Configuration, axis: str) -> None:
+        self.axes = configuration.axis_names
+        self._place = self.axes.index(axis) if axis else 0
+        self._safe = [item.safety.safe_command for item in configuration.each]
+
+    def codec(self, labels: tuple[str, ...]) -> ArrayCodec:
+        """Return the codec of the messages of all axes."""
+        return codec_for(labels, self.axes)
+
+    def own(self, numbers: Sequence[float]) -> Sequence[float]:
+        """Return the axis' own numbers."""
+        return split(numbers, len(self._safe))[self._place]
+
+    def joined(self, command: Sequence[float]) -> tuple[float, ...]:
+        """Return the numbers of all axes: the command for this one, the safe one for others."""
+        first, after = tuple(command[:_V]), tuple(command[_V + 1:])
+        return tuple(number for place, safe in enumerate(self._safe) for number in (
+            command if place == self._place else (*first, safe, *after)))
 
 
 class Evidence:
@@ -40,6 +71,7 @@ class Evidence:
 
     Args:
         node: Of the kit.
+        axis: The axis watched, of several; '' = the only one.
         answer: Called with seq and stamp of each new state.
 
     Attributes:
@@ -51,7 +83,8 @@ class Evidence:
         reports: Whether events or truth of the node show what the actuator does.
     """
 
-    def __init__(self, node: LoopNode, answer: Callable[[int, float], None]) -> None:
+    def __init__(self, node: LoopNode, axis: str,
+                 answer: Callable[[int, float], None]) -> None:
         self.states: list[State] = []
         self.arrivals: list[float] = []
         self.commands: dict[int, float] = {}
@@ -61,8 +94,11 @@ class Evidence:
         self._longest = 0.0
         self._node = node
         self._answer = answer
-        self._decode = ArrayCodec(State.labels(node.configuration.plant.order)).decode
-        self._truth = ArrayCodec(Truth.labels()).decode
+        configuration = node.configuration
+        self._own = configuration.axis(axis) if axis else configuration
+        self._rows = _Rows(configuration, axis)
+        self._decode = self._rows.codec(State.labels(self._own.plant.order)).decode
+        self._truth = self._rows.codec(Truth.labels()).decode
         self._held: list[tuple[float, float]] = []
         self._since = (0, 0, 0.0)
         self._safe_at: int | None = None
@@ -98,7 +134,7 @@ class Evidence:
         """Send a good command."""
         self.commands[command.seq] = command.stamp
         self.taken[command.seq] = time.monotonic() - self.arrivals[-1]
-        self._send(command.numbers())
+        self._send(self._rows.joined(command.numbers()))
 
     @contextmanager
     def stranger(self) -> Iterator[Send]:
@@ -111,8 +147,9 @@ class Evidence:
         self._node.spin_until(time.monotonic() + DISCOVERY_TIMEOUT,
                               publisher.get_subscription_count)
         try:
-            yield lambda labels, numbers: publisher.publish(
-                ArrayCodec(tuple(labels)).encode(numbers))
+            yield lambda labels, numbers, axes: publisher.publish(codec_for(
+                tuple(labels), axes).encode(self._rows.joined(numbers)[:len(numbers) * max(
+                    len(axes), 1)]))
         finally:
             self._node.destroy_publisher(publisher)
 
@@ -157,7 +194,7 @@ class Evidence:
 
     def _on_state(self, payload: bytes) -> None:
         try:
-            numbers = self._decode(payload)
+            numbers = self._rows.own(self._decode(payload))
         except MessageError as error:
             self.wrong_labels = self.wrong_labels or ','.join(error.got) or str(error)
             return
@@ -176,11 +213,11 @@ class Evidence:
     def _on_truth(self, payload: bytes) -> None:
         """Take w and d of a simulated actuator: with slope m, w − d = m v."""
         try:
-            numbers = self._truth(payload)
+            numbers = self._rows.own(self._truth(payload))
         except MessageError:
             return
         self.reports = True
-        zone = self._node.configuration.dead_zone
+        zone = self._own.dead_zone
         product = numbers[2] - numbers[3]
         self._held.append((numbers[1], product / (zone.m_r if product > 0.0 else zone.m_l)))
 
