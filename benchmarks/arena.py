@@ -32,9 +32,10 @@ from dz_ros.studies.arena_page import (
     REFERENCE,
     tables,
 )
+from dz_ros.studies.entrants import IDEAL
 from dz_ros.studies.retune import ALL, Found, read, VARIATION
 from dz_ros.studies.retune_page import errors_table, gains_table, summary, table
-from dz_ros.studies.scenarios import IDEAL, scenarios
+from dz_ros.studies.scenarios import scenarios
 
 ROOT = Path(__file__).resolve().parent.parent
 

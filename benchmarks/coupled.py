@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.laws.robust_eso_rules import gains_by_rule
+from dz_ros.core.laws.robust_eso_gains import gains_by_rule
 from dz_ros.core.loop.coupled import simulate_axes
 from dz_ros.files.configurations import load_configuration
 

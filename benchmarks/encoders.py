@@ -5,7 +5,7 @@
     python benchmarks/encoders.py --write    write it into docs/encoders.md
 
 The example's plant, its x read as an angle in rad; gains by the rules for encoders
-(`dz_ros.core.laws.robust_eso_rules.gains_for_encoder`), the rate of `levant` the best of a list.
+(`dz_ros.core.laws.robust_eso_gains.gains_for_encoder`), the rate of `levant` the best of a list.
 Errors are max|x̃| over the last half of 60 s; TV is the total variation of v per second.
 """
 
@@ -19,7 +19,7 @@ import sys
 import numpy as np
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.laws.robust_eso_rules import gains_for_encoder, OBSERVER_RATE
+from dz_ros.core.laws.robust_eso_gains import gains_for_encoder, OBSERVER_RATE
 from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.files.configurations import load_configuration
 

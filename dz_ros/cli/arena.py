@@ -13,7 +13,8 @@ from dz_ros.core.loop.compiled import available
 from dz_ros.errors import ConfigurationError
 from dz_ros.studies.arena import Plan, run_arena
 from dz_ros.studies.arena_page import conditions, format_beaten, format_text, write_arena
-from dz_ros.studies.scenarios import DURATION, IDEAL, SEEDS
+from dz_ros.studies.entrants import IDEAL
+from dz_ros.studies.scenarios import DURATION, SEEDS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -20,7 +20,8 @@ from typing import Any
 
 from dz_ros.cli.processes import python_environment
 from dz_ros.cli.progress import stage
-from dz_ros.core.statistics import LATE, percentile
+from dz_ros.core.lateness import LATE
+from dz_ros.core.percentiles import percentile
 from dz_ros.errors import LoopError
 from dz_ros.runtime.privileges import ADVICE, usable_cores
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from dz_ros.cli.operator import add_remapping, operator
 from dz_ros.cli.output import print_lines
+from dz_ros.core.lateness import LATE_COUNT
 
 LEVELS = ('ok', 'WARN', 'ERROR', 'STALE')
 GONE = 3.0
@@ -19,7 +20,7 @@ GONE = 3.0
 MAX_NODES = 64
 """Nodes that are shown; any process may publish diagnostics under any number of names."""
 SHORT = ('mode', 'rate [Hz]', 'period p99 [ms]', 'round trip p99 [ms]',
-         'state to command p99 [ms]', 'late by more than 1 ms', 'max |error|', 'max |s|/epsilon',
+         'state to command p99 [ms]', LATE_COUNT, 'max |error|', 'max |s|/epsilon',
          'applied command', 'messages waiting', 'messages lost')
 """What is shown without --all."""
 

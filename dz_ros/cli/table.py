@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dz_ros.cli.output import aligned
+from dz_ros.core.lateness import LATE_TEXT
 from dz_ros.report.view import View
 
 Row = tuple[str, str, str]
@@ -36,7 +37,7 @@ def five_rows(view: View) -> list[Row]:
     return [
         ('max |x̃|', _number(metrics.error_max), _unit(view, 'x')),
         ('total variation of v', _number(metrics.v_variation), _unit(view, 'v/s') or '1/s'),
-        (f'periods within 1 ms{period}', _number(within, 100.0), '%'),
+        (f'periods within {LATE_TEXT}{period}', _number(within, 100.0), '%'),
         ('messages missing, all topics', str(missing), ''),
         ('state to command, p99', _number(judged.p99 if judged else None, 1e3), 'ms'),
     ]

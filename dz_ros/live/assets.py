@@ -8,10 +8,10 @@ from importlib.resources import files
 _TYPES = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript', 'svg': 'image/svg+xml',
           'txt': 'text/plain'}
 _NAMES = (
-    'style.css', 'panels.css', 'main.js', 'link.js', 'store.js', 'frames.js', 'view.js',
-    'plots.js', 'painters.js', 'histograms.js', 'readout.js', 'nodes.js', 'actions.js',
-    'commissioning.js',
-    'parameters.js', 'scrub.js', 'exports.js', 'theme.js', 'words.js', 'icon.svg',
+    'style.css', 'panels.css', 'screens.css', 'main.js', 'link.js', 'store.js', 'frames.js',
+    'view.js', 'plots.js', 'painters.js', 'histograms.js', 'readout.js', 'nodes.js', 'actions.js',
+    'commissioning.js', 'parameters.js', 'scrub.js', 'exports.js', 'theme.js', 'words.js',
+    'icon.svg',
     'vendor/uPlot.esm.js', 'vendor/uPlot.min.css', 'vendor/uPlot.LICENSE.txt',
 )
 

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dz_ros.core.statistics import LATE, percentile
+from dz_ros.core.lateness import LATE
+from dz_ros.core.percentiles import percentile
 
 BINS = 48
 NAMES = ('interval', 'round_trip')

@@ -19,6 +19,7 @@ from rclpy.service import Service
 from rosgraph_msgs.msg import Clock
 
 from dz_ros.core.counted_log import CountedLog
+from dz_ros.core.lateness import LATE_COUNT
 from dz_ros.errors import ConfigurationError, LoopError, RecordingError
 from dz_ros.nodes.parts.recorded_topics import message_class, offered_as_recorded
 from dz_ros.nodes.parts.replay_services import ReplayServices
@@ -191,8 +192,8 @@ class ReplayNode(Node):
             if clock is not None:
                 slack = min(slack, int(clock.remaining() * 1e9))
             self._executor.spin_once(timeout_sec=min(max(slack * 1e-9, 0.0), SPIN_LIMIT))
-        late = (f'{player.late} late by more than 1 ms, the worst by {player.worst_ns * 1e-6:.1f} '
-                'ms' if player.late else 'none late by more than 1 ms')
+        late = (f'{player.late} {LATE_COUNT}, the worst by {player.worst_ns * 1e-6:.1f} ms'
+                if player.late else f'none {LATE_COUNT}')
         self.get_logger().info(f'{player.played} messages of {self._path}, {late}')
         if self._source.cut:
             self.get_logger().warning(f'{self._path} was {self._source.cut}')

@@ -22,7 +22,7 @@ import math
 import time
 from typing import NamedTuple
 
-from dz_ros.core.statistics import LATE
+from dz_ros.core.lateness import LATE
 from dz_ros.errors import ConfigurationError, RecordingError
 from dz_ros.recording.messages import Message
 

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from dz_ros.core.statistics import percentile
+from dz_ros.core.lateness import LATE_TEXT
+from dz_ros.core.percentiles import percentile
 from dz_ros.report.style import BLUE, GREY, new_figure, Picture, RED, styled
 from dz_ros.report.view import View
 from dz_ros.runs.timing import Spread, Timing, TopicTiming
@@ -112,7 +113,8 @@ def periods(view: View, name: str = 'periods') -> Picture | None:
             ax.set_xlabel('period  [ms]')
     worst = min((topic.within for _, topic in timed if topic.within is not None), default=None)
     share = '' if worst is None else (
-        f' At least {100.0 * worst:.4g} % of the periods of every topic lie within 1 ms of T.')
+        f' At least {100.0 * worst:.4g} % of the periods of every topic lie within '
+        f'{LATE_TEXT} of T.')
     return Picture(name, 'Periods', f'T = {milliseconds(timing.period)}.{share}',
                    'Histograms of the periods of each topic.', figure)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from dz_ros.core.lateness import LATE_TEXT
 from dz_ros.core.signals import Units
 from dz_ros.report import page
 from dz_ros.report.event_text import event_text
@@ -122,9 +123,10 @@ def timing(view: View) -> str:
     judged = any(topic.deviation for topic in t.topics.values())
     what = '|period − T| [ms]' if judged else 'period [ms]'
     parts = [page.table(
-        ['topic', 'clock', 'p50', 'p99', 'p99.9', 'max', 'within 1 ms', 'late', 'too late'], rows,
-        f'{what}, T = {milliseconds(t.period)}; late: more than 1 ms too long, too late: more '
-        'than one whole period too long.', range(2, 9))]
+        ['topic', 'clock', 'p50', 'p99', 'p99.9', 'max', f'within {LATE_TEXT}', 'late',
+         'too late'], rows,
+        f'{what}, T = {milliseconds(t.period)}; late: more than {LATE_TEXT} too long, too late: '
+        'more than one whole period too long.', range(2, 9))]
     latencies = shown_latencies(t)
     found = [[title, str(spread.count), *_spread(spread),
               *('–' if count is None else str(count) for count in t.late(key))]
@@ -132,8 +134,8 @@ def timing(view: View) -> str:
     if found:
         parts.append(page.table(
             ['latency', 'answers', 'p50', 'p99', 'p99.9', 'max', 'late', 'too late'], found,
-            'How long a state waited for its command [ms]; late: more than 1 ms, too late: more '
-            f'than T.{backwards(latencies)}', range(1, 8)))
+            f'How long a state waited for its command [ms]; late: more than {LATE_TEXT}, too '
+            f'late: more than T.{backwards(latencies)}', range(1, 8)))
     if t.samples_late:
         parts.append(page.paragraph(f'Age of the newest command when a state was measured: '
                                     f'{ages(t.samples_late)}.'))

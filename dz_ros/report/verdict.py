@@ -19,8 +19,8 @@ from dz_ros.core.events import (
     typed,
     UnmeasuredEvent,
 )
+from dz_ros.core.lateness import LATE_TEXT
 from dz_ros.core.records import Status
-from dz_ros.core.statistics import LATE
 from dz_ros.report import page
 from dz_ros.report.guarantee import guarantee
 from dz_ros.report.view import View
@@ -121,7 +121,7 @@ def _samples(view: View, lost: bool) -> str:
     found = [f'{len(rows.seq)} samples', *(() if lost else ('none lost',))]
     state = view.timing.topics.get('state')
     if state is not None and state.late is not None:
-        found.append(f'{state.late} more than {1e3 * LATE:g} ms late')
+        found.append(f'{state.late} more than {LATE_TEXT} late')
     if period is not None and view.setting.mode == 'realtime':
         steps = np.rint(np.diff(rows.t) / period) - np.diff(rows.seq)
         found.append(f'{int(steps[steps > 0].sum())} skipped')

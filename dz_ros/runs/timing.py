@@ -30,7 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dz_ros.core.dataset import Channel, RunData
-from dz_ros.core.statistics import LATE, percentile, SHARES
+from dz_ros.core.lateness import LATE
+from dz_ros.core.percentiles import percentile, SHARES
 from dz_ros.runs.metrics import jsonable
 from dz_ros.runs.sequence import count_sequence, first_of_each, longest_stretch, SequenceCount
 from dz_ros.runs.setting import Setting

@@ -15,14 +15,13 @@ import io
 from itertools import pairwise
 from typing import Any
 
+from dz_ros.studies.entrants import Entrant, entrants
 from dz_ros.studies.outcome import COLUMNS, Row, rows_of
 from dz_ros.studies.pool import AHEAD, cores, execute, Task
 from dz_ros.studies.scenarios import (
     base_configuration,
     choose,
     DURATION,
-    Entrant,
-    entrants,
     Scenario,
     scenarios,
     SEEDS,

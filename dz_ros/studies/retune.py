@@ -37,8 +37,9 @@ from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.core.schema import fields, to_dict
 from dz_ros.errors import ConfigurationError, DzRosError
 from dz_ros.runs.metrics import choose_window, largest, variation
+from dz_ros.studies.entrants import Entrant
 from dz_ros.studies.pool import execute, Task
-from dz_ros.studies.scenarios import base_configuration, Entrant, Scenario, scenarios
+from dz_ros.studies.scenarios import base_configuration, Scenario, scenarios
 
 ALL = 'all scenarios'
 """Name of the search over all scenarios."""

@@ -16,7 +16,7 @@
     λ   = half the limit of stability at most, and what keeps peak |v| within the effort, both
           found by simulation; at most the configured λ times 4
 
-The gains of `robust_eso` follow its own rules (`dz_ros.core.laws.robust_eso_rules`), those for an
+The gains of `robust_eso` follow its own rules (`dz_ros.core.laws.robust_eso_gains`), those for an
 encoder where the velocity is not measured; its start is slowed down until it keeps the effort.
 c gives the order of the paper's gains on the paper's example. a_i are those of the plant's model:
 where they are guesses, widen θ's bounds. Nothing here is optimal; it is safe to start from.
@@ -38,13 +38,13 @@ from dz_ros.core.design.robust_gain import dead_zone_bound, least_robust_gain
 from dz_ros.core.design.rules import derives_epsilon
 from dz_ros.core.design.stability import lambda_limit
 from dz_ros.core.laws.base import Design
-from dz_ros.core.laws.robust_eso_rules import (
+from dz_ros.core.laws.robust_eso_gains import (
     gains_by_rule,
     gains_for_encoder,
     OBSERVER_RATE,
     QUIET_SHARE,
 )
-from dz_ros.core.laws.robust_eso_rules import (
+from dz_ros.core.laws.robust_eso_gains import (
     SHARE as ESO_SHARE,
 )
 from dz_ros.core.schema import fields

@@ -107,7 +107,7 @@ def test_interrupts_while_it_ends_change_nothing(verb, tmp_path):
 
 
 def test_the_processes_of_doctor_leave_the_interrupt_to_it(tmp_path):
-    process = start(['doctor', '--seconds', '5'], tmp_path, 'dz_ros.core.statistics')
+    process = start(['doctor', '--seconds', '5'], tmp_path, 'dz_ros.core.percentiles')
     found = []
     for _ in waiting(process, 0.01, 'nothing was measured'):
         found = [int(pid) for task in Path(f'/proc/{process.pid}/task').iterdir()

@@ -13,7 +13,7 @@ from dz_ros.core.design.finding import INFO, WARNING
 from dz_ros.core.design.linear_loop import spectral_radius, surface_model
 from dz_ros.core.design.observation import check_observer, observer_of
 from dz_ros.core.design.rules import check
-from dz_ros.core.laws.robust_eso_rules import gains_for_encoder
+from dz_ros.core.laws.robust_eso_gains import gains_for_encoder
 from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.core.loop.controller import Controller
 from dz_ros.core.loop.offline import simulate

@@ -10,7 +10,7 @@ import pytest
 from dz_ros.core import schema
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws.robust_eso import RobustEso, RobustEsoGains
-from dz_ros.core.laws.robust_eso_rules import gains_by_rule
+from dz_ros.core.laws.robust_eso_gains import gains_by_rule
 from dz_ros.core.loop.offline import simulate
 from dz_ros.core.records import Status
 from dz_ros.core.signals import STATUS

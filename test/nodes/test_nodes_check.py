@@ -74,8 +74,8 @@ def test_a_broken_node_fails_the_check_that_is_for_it(processes, path, flaw, nam
 
 def test_every_axis_of_a_node_passes_from_outside(processes, tmp_path):
     config = tmp_path / 'two.yaml'
-    config.write_text('loop: {axes: [left, right], peers: [], duration: 0.0}\nplant: {model: first_order}\n'
-                      'driver: {name: simulated}\n', encoding='utf-8')
+    config.write_text('loop: {axes: [left, right], peers: [], duration: 0.0}\n'
+                      'plant: {model: first_order}\ndriver: {name: simulated}\n', encoding='utf-8')
     files = tmp_path / 'parameters.yaml'
     files.write_text(format_parameters(load_configuration(str(config), [], '')), encoding='utf-8')
     processes('-m', 'dz_ros.nodes.main', 'actuator_node', '--ros-args', '--params-file', files)

@@ -31,8 +31,9 @@ from dz_ros.studies.arena_page import (
     write_arena,
 )
 from dz_ros.studies.arena_pictures import overview, scatter, unbeaten
+from dz_ros.studies.entrants import entrants, IDEAL
 from dz_ros.studies.outcome import COLUMNS, row_of, run_row
-from dz_ros.studies.scenarios import base_configuration, entrants, IDEAL, scenarios, yardstick
+from dz_ros.studies.scenarios import base_configuration, scenarios, yardstick
 
 DURATION = 6.0
 

@@ -14,6 +14,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws import LAWS
 from dz_ros.core.schema import fields
 from dz_ros.errors import ConfigurationError
+from dz_ros.studies.entrants import entrants
 from dz_ros.studies.outcome import row_of
 from dz_ros.studies.retune import (
     ALL,
@@ -31,7 +32,7 @@ from dz_ros.studies.retune import (
     search,
 )
 from dz_ros.studies.retune_page import best_of, errors_table, summary, table
-from dz_ros.studies.scenarios import base_configuration, entrants, scenarios
+from dz_ros.studies.scenarios import base_configuration, scenarios
 
 DURATION = 6.0
 

@@ -22,7 +22,7 @@ import numpy as np
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.finding import Finding, INFO, WARNING
 from dz_ros.core.design.linear_loop import LinearObserver, spectral_radius
-from dz_ros.core.laws.robust_eso_rules import OBSERVER_RATE
+from dz_ros.core.laws.robust_eso_gains import OBSERVER_RATE
 from dz_ros.core.observers import Observer, OBSERVERS
 from dz_ros.core.observers.base import noise_gain
 from dz_ros.core.tracking import error_weights

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 import math
 from typing import Any
 
+from dz_ros.core.lateness import LATE, LATE_TEXT
 from dz_ros.core.safety.health import LATE_SHARE, Level, percentiles, Report
-from dz_ros.core.statistics import LATE
 
 SHORTEST, LONGEST = 1e-5, 10.0
 """Durations below and above these share the first and the last class [s]."""
@@ -95,7 +95,7 @@ class Latency:
             judged: True where time is the wall's.
         """
         percentiles(self._window, report, label)
-        report.put(f'{label} late (> 1 ms)', self.late, 'd')
+        report.put(f'{label} late (> {LATE_TEXT})', self.late, 'd')
         report.put(f'{label} too late (> T)', self.too_late, 'd')
         fresh = self.too_late - self._late_before
         if judged and fresh > LATE_SHARE * max(self._seen, 1):

@@ -13,11 +13,12 @@ import enum
 import math
 
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.lateness import LATE, LATE_COUNT
+from dz_ros.core.percentiles import percentile
 from dz_ros.core.records import Status, Terms
 from dz_ros.core.safety.modes import LifecycleState, Mode
 from dz_ros.core.safety.supervisor import Supervisor
 from dz_ros.core.signals import S, V_FEED_FORWARD, V_REGRESSOR
-from dz_ros.core.statistics import LATE, percentile
 from dz_ros.core.tracking import guaranteed_bounds
 
 LATE_SHARE, SATURATED_SHARE, CHATTER = 0.05, 0.2, 3.0
@@ -99,7 +100,7 @@ class Pace:
         span = math.fsum(self._intervals)
         report.put('rate [Hz]', len(self._intervals) / span if span > 0.0 else 0.0, '.1f')
         percentiles(self._intervals, report, 'period')
-        report.put('late by more than 1 ms', self.late, 'd')
+        report.put(LATE_COUNT, self.late, 'd')
         fresh = self.late - self._late_before
         if judged and self._intervals and fresh > LATE_SHARE * len(self._intervals):
             report.summarize(Level.WARN, f'{fresh} of {len(self._intervals)} samples late')

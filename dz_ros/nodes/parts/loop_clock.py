@@ -18,6 +18,7 @@ from typing import Any
 
 from rosgraph_msgs.msg import Clock
 
+from dz_ros.core.lateness import LATE_COUNT
 from dz_ros.core.loop.latency import Latency
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
 from dz_ros.core.safety.health import Pace, Report
@@ -165,7 +166,7 @@ class RealTimeClock(LoopClock):
         if not (ticks.index >= last or node.stopping):
             return False
         node.finish(late=ticks.late, skipped=ticks.skipped)
-        node.get_logger().info(f'{node.seq + 1} samples, {ticks.late} late by more than 1 ms, '
+        node.get_logger().info(f'{node.seq + 1} samples, {ticks.late} {LATE_COUNT}, '
                                f'{ticks.skipped} skipped')
         return True
 

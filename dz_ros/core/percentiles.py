@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Definitions that every count and table of durations shares."""
+"""The percentile that every table and picture of durations shows."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from typing import Any, TYPE_CHECKING
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-LATE = 1e-3
-"""Anything later than this after its deadline is late [s]."""
 SHARES = {'p50': 0.5, 'p99': 0.99, 'p999': 0.999}
 """Name of a percentile → share of all that it is not below."""
 
