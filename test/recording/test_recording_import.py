@@ -11,8 +11,9 @@ import pytest
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.records import State
 from dz_ros.errors import ConfigurationError, MessageError, RecordingError
-from dz_ros.recording import import_columns
-from dz_ros.recording.import_columns import Column, read_bag, read_table, table_names
+from dz_ros.recording import import_csv
+from dz_ros.recording.import_columns import Column, read_bag
+from dz_ros.recording.import_csv import read_table, table_names
 from dz_ros.recording.import_map import check_signals, parse_source, split_map
 from dz_ros.recording.import_run import import_run
 from dz_ros.recording.message_fields import MessageType, MOST_NUMBERS
@@ -233,7 +234,7 @@ def test_a_long_table_is_not_held_as_text(tmp_path, monkeypatch):
         tracemalloc.stop()
     assert len(found.chosen['x'].values) == 100_000
     assert most < 6 * 2 * 8 * 100_000
-    monkeypatch.setattr(import_columns, 'MOST_ROWS', 1000)
+    monkeypatch.setattr(import_csv, 'MOST_ROWS', 1000)
     with pytest.raises(RecordingError, match='more than 1000 rows'):
         read_table(path, ['t', 'x'])
 

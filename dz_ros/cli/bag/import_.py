@@ -46,7 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
         RunNotFoundError: FILE does not.
         RecordingError: FILE holds none of it.
     """
-    from dz_ros.recording.import_columns import is_table, read_bag, read_table, table_names
+    from dz_ros.recording.import_columns import read_bag
+    from dz_ros.recording.import_csv import is_table, read_table, table_names
     from dz_ros.recording.import_map import check_signals, parse_source, split_map
     from dz_ros.recording.import_run import import_run
     from dz_ros.recording.run_source import open_source
