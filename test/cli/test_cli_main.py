@@ -137,7 +137,8 @@ def test_a_reader_that_goes_away_is_no_error(tmp_path):
                           env=with_sources())
     assert done.stdout.startswith('k,t,x0,x1')
     assert done.stdout.count('\n') == 1
-    assert done.stderr == ''
+    # What takes longer than 3 s says what it does.
+    assert [line for line in done.stderr.splitlines() if not line.startswith('simulating ')] == []
     assert done.returncode == 141
 
 

@@ -23,6 +23,14 @@ NAMES = ['order and labels', 'seq', 'stamps', 'echo', 'rate', 'latency', 'bad me
 TIME_OUT = 180.0
 LATE = {'rate', 'latency', 'answers at once', 'measurement', 'no fault', 'echo', 'seq'}
 """Checks that a busy machine may fail."""
+EXCUSED = 'the machine was late too'
+"""What the kit adds to a failure where a process that only waits stood still as well."""
+
+
+def failed(found):
+    """Return the checks that failed, or were not made, although the machine was in time."""
+    return {name for name, item in found.items() if item['passed'] is not True
+            and name.split(': ')[-1] not in LATE and EXCUSED not in item['words']}
 
 
 @pytest.fixture
@@ -47,8 +55,7 @@ def test_the_example_s_node_passes_from_outside(processes, path):
                     PYTHONPATH=path)
     code, found = kit.wait(TIME_OUT), results(kit)
     assert list(found) == NAMES, kit.output
-    assert {name for name in NAMES if found[name]['passed'] is not True} <= {
-        'saturation', *LATE}, words(found)
+    assert failed(found) <= {'saturation'}, words(found)
     assert code == (1 if any(item['passed'] is False for item in found.values()) else 0)
     assert found['saturation']['passed'] is None
     assert node.interrupt() == 0, node.output
@@ -85,8 +92,7 @@ def test_every_axis_of_a_node_passes_from_outside(processes, tmp_path):
         kit.output)
     for axis in ('left', 'right'):
         own = {name: found[f'{axis}: {name}'] for name in NAMES}
-        assert {name for name in NAMES if own[name]['passed'] is not True} <= {
-            'saturation', *LATE}, words(own)
+        assert failed(own) <= {'saturation'}, words(own)
         assert own['bad messages refused']['figure'] == '10 of 10', words(own)
     assert code == (1 if any(item['passed'] is False for item in found.values()) else 0)
 
@@ -97,7 +103,7 @@ def test_our_own_drivers_pass_in_process_and_as_nodes(processes, driver):
     code, found = kit.wait(TIME_OUT), results(kit)
     assert [name for name in found if name in NAMES] == NAMES, kit.output
     assert 'killed and started again' in found
-    assert {name for name in found if found[name]['passed'] is not True} <= LATE, words(found)
+    assert failed(found) == set(), words(found)
     assert code == (0 if all(item['passed'] for item in found.values()) else 1)
 
 
@@ -106,7 +112,7 @@ def test_the_example_s_class_passes(processes, path):
                     '--json', '--saturate', PYTHONPATH=path)
     kit.wait(TIME_OUT)
     found = results(kit)
-    assert {name for name in found if found[name]['passed'] is not True} <= LATE, words(found)
+    assert failed(found) == set(), words(found)
     assert set(NAMES) <= set(found)
 
 
@@ -147,7 +153,7 @@ def test_a_driver_that_does_not_come_back_after_it_was_killed_fails_that_check(p
         [str(ROOT), str(tmp_path)]))
     assert kit.wait(TIME_OUT) == 1, kit.output
     found = results(kit)
-    assert {name for name in found if found[name]['passed'] is False} - LATE == {
+    assert {name for name in failed(found) if found[name]['passed'] is False} == {
         'killed and started again'}, words(found)
     assert 'the device is in use' in found['killed and started again']['words']
     assert list(found)[-1] == 'killed and started again'

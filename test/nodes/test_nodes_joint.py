@@ -452,9 +452,12 @@ def test_a_dead_process_leaves_the_last_command_in_the_controller(
     nodes['actuator_node'].signal(9)
     nodes['actuator_node'].wait()
     heard = len(robot.interface)
-    watcher.wait(lambda: len(robot.interface) > heard + 200)
-    held = {command for _, command, *_ in robot.interface[-100:]}
-    assert len(held) == 1
+
+    def held():
+        return {command for _, command, *_ in robot.interface[-100:]}
+
+    # What was sent before is still on its way where the machine is busy.
+    watcher.wait(lambda: len(robot.interface) > heard + 200 and len(held()) == 1)
 
 
 @pytest.mark.ros
@@ -477,7 +480,7 @@ def test_its_dead_zone_is_found(processes, watcher, robot, tmp_path):
                           '--set', 'driver.fresh=10000', '--set', 'safety.state_hold=10000',
                           '--set', 'safety.fault_after=20000')
         code = found.wait(300.0)
-        if code != 2 or 'is not a number in' not in found.output:
+        if code != 2 or not re.search('is not a number in|of the states are lost', found.output):
             break
     assert code in (0, 1), found.output     # 1: a design rule finds an error in it
     numbers = json.loads((out / 'identified.json').read_text())['parameters']
