@@ -87,7 +87,7 @@ def test_dead_zone_and_plant_are_those_of_an_independent_least_squares(commands)
 def test_the_plant_predicts_the_whole_run_and_a_half_it_has_not_seen(commands, tmp_path):
     folder, _ = commands
     whole = read_run(folder / 'axis-run')
-    assert explained(folder / 'axis-found', whole) >= 0.995
+    assert explained(folder / 'axis-found', whole) >= 0.997
     # 20 s of it, the least from which bounds can be had; the rest is predicted.
     text = LOG.read_text(encoding='utf-8').splitlines()
     parts = {'seen': [text[0], *text[1:4101]], 'unseen': [text[0], *text[4101:]]}

@@ -2,6 +2,7 @@
 """`dz driver commission --live`: the steps are started, confirmed and stopped in the page."""
 
 import json
+from pathlib import Path
 import socket
 
 import numpy as np
@@ -84,15 +85,50 @@ def fill(page, **values):
         page.fill(f'#commission-form input[name={name}]', str(value))
 
 
+@pytest.fixture
+def serial_settings(request):
+    """An emulated serial device; its settings."""
+    pytest.importorskip('serial', reason='pyserial is not installed')
+    device = request.getfixturevalue('serial_device')
+    device()
+    return (*SERIAL, f'driver.port={device.port}')
+
+
+@pytest.fixture
+def cia402_settings(processes, ros_domain):
+    """An emulated CiA 402 drive on a bus of its own; its settings."""
+    pytest.importorskip('canopen', reason='canopen is not installed')
+    can = pytest.importorskip('can', reason='python-can is not installed')
+    port = 43400 + ros_domain
+    try:
+        can.Bus(interface='udp_multicast', channel='239.74.163.2', port=port,
+                hop_limit=0).shutdown()
+    except can.CanError as error:
+        pytest.skip(f'no multicast on this machine: {error}')
+    own = ('driver.heartbeat_hold=2.0', 'driver.command_hold=2.0', 'driver.answer_limit=1.0',
+           f'driver.bus_options=[port={port}, hop_limit=0]')
+    processes(*DZ, 'driver', 'emulate', 'cia402', 'cia402', *settings(*PATIENT, *own)
+              ).wait_for_line('simulated drive, node 1 on udp_multicast')
+    return own
+
+
+@pytest.fixture
+def joint_settings(processes, ros_domain):
+    """Controller and hardware of a joint of ros2_control; its settings."""
+    pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+    root = Path(__file__).parents[2]
+    processes(str(root / 'test' / 'nodes' / 'ros2_control_stand_in.py'),
+              str(root / 'config' / 'joint.yaml'), 'effort', 'active=1',
+              PYTHONPATH=str(root)).wait_for_line('controllers are loaded')
+    return ('driver.fresh=4.0',)
+
+
 @pytest.mark.ros
 @pytest.mark.slow
 @pytest.mark.parametrize('serial_device', ['emulated'], indirect=True)
-def test_a_serial_device_ends_in_a_loop_that_tracks(commission, serial_device, axe):
-    pytest.importorskip('serial', reason='pyserial is not installed')
-    serial_device()
-    page, process, out = commission(
-        'serial', *settings(*PATIENT, *SERIAL, f'driver.port={serial_device.port}'), '--repeats',
-        '8', '--ramp', '2', '--pause', '0.2', '--loop-duration', '12')
+def test_a_serial_device_ends_in_a_loop_that_tracks(commission, serial_device, serial_settings,
+                                                    axe):
+    page, process, out = begin_with(commission, 'serial', serial_settings)
     assert page.evaluate(f"{item('sign')}.querySelector('button').disabled")
     for value, words in ((2, '--effort = None: must be given'), ('far', "--travel = 'far'")):
         fill(page, travel=value, speed=2, **({} if value == 2 else {'effort': 6}))
@@ -100,6 +136,27 @@ def test_a_serial_device_ends_in_a_loop_that_tracks(commission, serial_device, a
         page.until(f"""document.querySelector('#commission-answer').textContent
             .includes("{words}")""")
     fill(page, travel=2)
+    ends_in_a_loop_that_tracks(page, process, out, axe)
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.parametrize('device', ['cia402', 'joint'])
+def test_a_drive_on_a_bus_or_a_joint_ends_in_a_loop_that_tracks(request, commission, device, axe):
+    own = request.getfixturevalue(f'{device}_settings')
+    page, process, out = begin_with(commission, device, own)
+    fill(page, travel=2, speed=2, effort=6)
+    ends_in_a_loop_that_tracks(page, process, out, axe)
+
+
+def begin_with(commission, device, own):
+    """Start the commissioning of a device in its page, without limits."""
+    return commission(device, *settings(*PATIENT, *own), '--repeats', '8', '--ramp', '2',
+                      '--pause', '0.2', '--loop-duration', '12')
+
+
+def ends_in_a_loop_that_tracks(page, process, out, axe):
+    """Make every step in the page, one of them twice, and check what came of them."""
     assert make(page, 'limits', False) == 'done'
     for step in STEPS[1:]:
         moves = step in ('sign', 'sensor', 'identify', 'loop')
@@ -111,7 +168,7 @@ def test_a_serial_device_ends_in_a_loop_that_tracks(commission, serial_device, a
         if step == 'sensor':        # another viewer, or the same one later, sees the same
             page.reload()
             page.until(f"{item('sensor')}?.dataset.outcome === 'done'")
-            assert 'one step of the position' in page.inner_text('#commission-sensor')
+            assert 'commands act' in page.inner_text('#commission-sensor')
         if step == 'check':         # every step can be repeated
             assert make(page, 'check', False) == 'done'
             assert attempts(page, 'check') == 2
@@ -123,6 +180,7 @@ def test_a_serial_device_ends_in_a_loop_that_tracks(commission, serial_device, a
     assert process.wait() == 0
     newest = {found['step']: found for found in log(out) if found['outcome'] == 'done'}
     assert list(newest) == list(STEPS)
+    assert newest['sign']['result']['left'] < 0.0 < newest['sign']['result']['right']
     assert newest['loop']['result']['error'] <= 0.1 * newest['limits']['result']['amplitude']
     for step in ('sign', 'sensor', 'identify', 'loop'):
         assert len(read_run(out / newest[step]['folder'] / 'run').channels['state']) > 100

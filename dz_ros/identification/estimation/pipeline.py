@@ -26,8 +26,8 @@ from dz_ros.identification.estimation.consistency import (
     check_log,
     check_samples,
 )
-from dz_ros.identification.estimation.constant_force import refine_constant
 from dz_ros.identification.estimation.least_squares import hats, Line, solve, solve_over_time, ZONE
+from dz_ros.identification.estimation.long_simulation import refine_by_simulation
 from dz_ros.identification.estimation.physical_parameters import friction_terms
 from dz_ros.identification.estimation.prediction_error import Fit, fit, Parameters
 from dz_ros.identification.estimation.stretches import Cutter, Stack, Stretch
@@ -194,7 +194,7 @@ def fit_identified(found: Identified, samples: Samples, c: Configuration) -> Fit
     """Return the plant of what was identified, refined by prediction error over its motion.
 
     The drift of the dead-zone stays as it was found; its means are refined. Where friction is
-    counted in, a constant force is what a simulation of all samples shows.
+    counted in, a plant with a constant force is refined by long simulations as well.
 
     Raises:
         RecordingError: Too little data.
@@ -206,7 +206,9 @@ def fit_identified(found: Identified, samples: Samples, c: Configuration) -> Fit
     start = Parameters(found.a, zone, found.disturbance)
     fitted = fit(samples, found.stretches, c, [start], found.delay, found.friction_counted,
                  None if found.friction_counted else found.drift)
-    return refine_constant(fitted, samples, c, found.delay) if found.friction_counted else fitted
+    if not found.friction_counted:
+        return fitted
+    return refine_by_simulation(fitted, samples, c, found.delay)
 
 
 def refine_identified(found: Identified, samples: Samples,
@@ -246,8 +248,10 @@ def fit_log(run: RunData, c: Configuration) -> Fit:
         a, values, _ = _plant(c, found.line, found.by_side)
         starts.append(Parameters(a, values, 1.0))
         if stretches is moving and c.plant.friction and len(moving) >= ENOUGH_MOTION:
-            return fit(samples, moving, c, starts[-1:], 0, found.by_side)
-    return fit(samples, everything, c, starts)
+            fitted = fit(samples, moving, c, starts[-1:], 0, found.by_side)
+            return refine_by_simulation(fitted, samples, c, 0)
+    fitted = fit(samples, everything, c, starts)
+    return refine_by_simulation(fitted, samples, c, 0) if c.plant.friction else fitted
 
 
 def identify_log(run: RunData, c: Configuration) -> tuple[Samples, Identified]:
