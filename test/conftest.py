@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures: a ROS domain of one's own, processes that end with it, firmware, launches, runs."""
+"""Fixtures: a ROS domain of one's own, processes that end with it, firmware, launches, runs.
+
+Over 300 lines: what several folders share, and pytest finds nowhere else.
+"""
 
 from __future__ import annotations
 
@@ -34,12 +37,14 @@ from dz_ros.core.loop.offline import simulate
 from dz_ros.core.records import Command, Reference, State, Terms
 from dz_ros.version import version
 
-# A slow machine is no finding, and a test run twice is the same test; `make fuzz` looks for more.
+# A slow machine is no finding, and a test run twice is the same test; `make fuzz` searches on.
 hypothesis.settings.register_profile(
-    'test', deadline=None, derandomize=True,
+    'test', deadline=None, derandomize=True, max_examples=40,
     suppress_health_check=[hypothesis.HealthCheck.too_slow])
 hypothesis.settings.register_profile('quick', hypothesis.settings.get_profile('test'),
                                      max_examples=10)
+hypothesis.settings.register_profile('thorough', hypothesis.settings.get_profile('test'),
+                                     max_examples=400, derandomize=False)
 hypothesis.settings.load_profile('test')
 
 DOMAINS = range(102)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A real loop of processes, and everything that is heard of it, for injecting faults."""
+"""A real loop of processes, and everything that is heard of it, for injecting faults.
+
+Over 300 lines: starting, observing and ending the loop share its processes.
+"""
 
 from __future__ import annotations
 

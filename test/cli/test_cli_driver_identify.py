@@ -89,7 +89,7 @@ def test_from_device_to_ready_configuration_and_again_from_its_run(tmp_path, cap
 @pytest.mark.slow
 def test_a_run_of_the_loop_tells_as_well(tmp_path, capsys):
     c = Configuration.from_flat({
-        'plant.model': 'servo', 'controller.law': 'wang2004', 'loop.duration': 30.0,
+        'plant.model': 'servo', 'controller.law': 'wang2004', 'loop.duration': 15.0,
         'plant.noise': [1e-4, 1e-3], 'plant.x0': [0.1, 0.0], 'controller.lambda': 5.0,
         'trajectory.kind': 'multisine', 'trajectory.amplitudes': [1.0, 0.5],
         'trajectory.frequencies': [1.0, 2.7], 'trajectory.phases': [0.0, 0.0]})

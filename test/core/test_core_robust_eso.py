@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The law `robust_eso`: reference run, a program of its own, rules, shaped start."""
+"""The law `robust_eso`: reference run, a program of its own, rules, shaped start.
+
+Over 300 lines: the law is written down a second time here, to compare with.
+"""
 
 import math
 from pathlib import Path

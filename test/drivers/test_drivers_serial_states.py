@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The states of a device: the serial driver on a real port before a device that lies."""
+"""The states of a device: the serial driver on a real port before a device that lies.
+
+Over 300 lines: a table of states that lie, and the honest ones beside them.
+"""
 
 from dataclasses import replace
 import itertools

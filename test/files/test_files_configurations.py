@@ -1,4 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Configurations in files: found, read as YAML 1.2, written, refused with key and line.
+
+Over 300 lines: a file of each kind of mistake is in the text of its test.
+"""
+
 import math
 import os
 from pathlib import Path

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a running loop in a real browser."""
+"""The page of a running loop in a real browser.
+
+Over 300 lines: one browser and one running loop for all.
+"""
 
 import json
 import os

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nonsense, floods and silence do to the page's server: nothing but to whoever sends them."""
+"""What nonsense, floods and silence do to the page's server: nothing but to whoever sends them.
+
+Over 300 lines: all of it needs the same server and viewers that break rules.
+"""
 
 import asyncio
 import contextlib

@@ -157,19 +157,3 @@ def test_nobody_there_is_one_line(processes):
     assert kit.wait(TIME_OUT) == 2
     assert 'no state on /state within' in kit.output
     assert kit.output.count('\n') == 0
-
-
-@pytest.mark.parametrize(('given', 'message'), [
-    ((), 'give a driver, a configuration or --topics'),
-    (('mock', '--topics'), 'give a driver, a configuration or --topics'),
-    (('no_such',), 'no such driver'),
-    (('--topics',), 'give --yes without a terminal'),
-    (('mock', '--amplitude', '-1'), '--amplitude'),
-    (('mock', '--amplitude', '9', '--set', 'driver.limit=5'), 'from 0 to 5'),
-    (('mock', '--set', 'driver.script=[sometimes]'), 'driver.script'),
-])
-def test_what_cannot_be_asked_is_one_line(processes, given, message):
-    kit = processes(*DZ, *given)
-    assert kit.wait(TIME_OUT) == 2
-    assert message in kit.output
-    assert kit.output.count('\n') == 0

@@ -214,30 +214,13 @@ def test_a_killed_node_is_named_and_the_recording_survives(processes, children, 
     assert len(read_run(tmp_path / 'run').channels['command']) > 1
 
 
-@pytest.mark.parametrize(('words', 'message'), [
-    (('--set', 'controller.lamda=2'), 'did you mean controller.lambda'),
-    (('--set', 'controller.lambda=fast'), 'controller.lambda = '),
-    (('--set', 'controller.lambda=-1'), '> 0'),
-    (('--set', 'controller.lambda=.inf'), 'finite'),
-    (('--set', 'plant.model=unicorn'), 'known: wang2004'),
-    (('--set', 'controller.theta_0=[1, 2, 3]'), '2 numbers'),
-    (('--namespace', 'not a name'), '--namespace'),
-    (('no_such_file.yaml',), 'no_such_file.yaml'),
-])
-def test_a_users_mistake_is_one_line_and_exit_code_two(processes, tmp_path, words, message):
-    run = processes(*DZ, 'run', *words, '--record', tmp_path / 'run')
+def test_a_users_mistake_is_one_line_and_exit_code_two(processes, tmp_path):
+    run = processes(*DZ, 'run', '--set', 'controller.lamda=2', '--record', tmp_path / 'run')
     assert run.wait() == 2
     assert run.output.startswith('dz: error: ')
     assert run.output.count('\n') == 0
-    assert message in run.output
+    assert 'did you mean controller.lambda' in run.output
     assert not (tmp_path / 'run').exists()
-
-
-def test_an_existing_directory_is_not_touched(processes, tmp_path):
-    run = processes(*DZ, 'run', '--record', tmp_path)
-    assert run.wait() == 2
-    assert 'never overwritten' in run.output
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_without_rclpy_it_says_so_in_one_line(processes, tmp_path):

@@ -2,6 +2,8 @@
 """Files made to break their reader: a line and exit code 2, or read with a word, within 1 GB.
 
 Every verb reads every file; a process for each kind of file tells its largest memory.
+
+Over 300 lines: each kind of file is made here, and all are read by the same process.
 """
 
 from __future__ import annotations

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a run: everything inside, nothing from outside, nothing half-written."""
+"""The page of a run: everything inside, nothing from outside, nothing half-written.
+
+Over 300 lines: all of it reads pages of the same runs, written once.
+"""
 
 from __future__ import annotations
 

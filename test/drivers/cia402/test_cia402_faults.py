@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of drive and bus: told once, latched, the drive stopped, left by recover."""
+"""Faults of drive and bus: told once, latched, the drive stopped, left by recover.
+
+Over 300 lines: one test for each fault that drive or bus can have.
+"""
 
 import itertools
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drives that are stricter or other than usual: taken as they are and verified, or refused."""
+"""Drives that are stricter or other than usual: taken as they are and verified, or refused.
+
+Over 300 lines: one test for each way in which a drive is other than usual.
+"""
 
 import math
 
