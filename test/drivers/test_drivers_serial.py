@@ -140,7 +140,7 @@ def test_a_fault_lasts_until_the_operator_resets(serial_device, driver, fault, w
     assert found.measure() is not None
 
 
-def test_a_fault_from_before_is_reset_by_a_host_that_starts_anew(serial_device, driver, make,
+def test_a_fault_from_before_is_reset_by_a_host_that_starts_again(serial_device, driver, make,
                                                                  until):
     process = serial_device('trip@0.2+1.5')
     first = driver()
@@ -194,7 +194,7 @@ def test_it_can_be_closed_and_opened_again_and_what_happened_between_is_forgotte
     found = driver()
     until(lambda: mode(found) is Mode.RUN, found, 1.0)
     found.disable()
-    found.link.broken = 'the line has gone'    # while nobody looked
+    found.link.broken = 'the line has gone'    # between two looks
     found.enable()
     assert found.fault() == ''
     found.disable()

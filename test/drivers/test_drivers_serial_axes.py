@@ -87,7 +87,7 @@ def machines(liars):
 
 
 def passed(liar, count=100):
-    """Return a condition: so many more commands have come."""
+    """Return a condition: this number of more commands have come."""
     goal = len(liar.commands) + count
     return lambda: len(liar.commands) >= goal
 

@@ -24,7 +24,7 @@ SESSION = 77
 
 
 def info(motors):
-    """Return what a device of so many motors is; they repeat after three."""
+    """Return what a device of this number of motors is; they repeat after three."""
     return Info(0, tuple(MOTORS[place % 3] for place in range(motors)), 'bench')
 
 
@@ -34,7 +34,7 @@ def each(v, motors):
 
 
 class Bench:
-    """A device on a bench: hears what the test sends, keeps what it sends and actuates.
+    """A device on a bench: receives what the test sends, keeps what it sends and actuates.
 
     Attributes:
         fault: Code of the last motor.
@@ -84,7 +84,7 @@ def bench(cold):
 
 
 @pytest.mark.parametrize('motors', [1, 3])
-def test_before_a_greeting_it_says_so_and_takes_nothing(motors):
+def test_before_a_greeting_it_reports_it_and_takes_nothing(motors):
     bench = Bench(motors)
     states = [frame for _ in range(250) for frame in bench.ask(Request.RUN, 5, v=9, session=0)]
     assert [state.session for state in states] == [0] * len(states)
@@ -192,7 +192,7 @@ def test_a_new_session_takes_power_away_the_same_one_changes_nothing(bench):
     info, state = bench.step(Hello(SESSION + 1, 1000, bench.motors))
     assert (info.session, state.session, state.mode) == (SESSION + 1, SESSION + 1, Mode.DISABLED)
     assert bench.actuated[-1] is None
-    bench.ask(Request.SAFE, 1, session=SESSION + 1)         # counts begin anew
+    bench.ask(Request.SAFE, 1, session=SESSION + 1)         # counts begin again
     bench.ask(Request.RUN, 2, v=7, session=SESSION + 1)
     assert bench.actuated[-1] == 7
 

@@ -25,7 +25,7 @@ MOTORS = (MotorInfo(500, 0.5, (0.25, 2.0)), MotorInfo(300, 1.0, (0.5, 4.0)),
 
 
 def info(motors):
-    """Return what a device of so many motors is; they repeat after three."""
+    """Return what a device of this number of motors is; they repeat after three."""
     return Info(0, tuple(MOTORS[place % 3] for place in range(motors)), 'bench')
 
 
@@ -140,8 +140,8 @@ SMALL = st.integers(0, 3)
 NUMBERS = st.integers(-2 ** 31, 2 ** 31 - 1)
 
 
-def said(motors):
-    """Return what gives frames of a host of so many motors."""
+def reported(motors):
+    """Return what gives frames of a host of this number of motors."""
     return st.one_of(
         st.builds(Hello, SMALL, st.sampled_from((0, 1, 1000, 5000, 2 ** 32 - 1)),
                   st.just(motors)),
@@ -154,7 +154,7 @@ def said(motors):
 
 def pieces(motors):
     """Return what gives pieces of what a line brings: of its host, of another one, damage."""
-    own = said(motors).map(lambda frame: frame.body())
+    own = reported(motors).map(lambda frame: frame.body())
     return st.one_of(
         own.map(pack), own.map(pack), own.map(pack), st.binary(max_size=20),
         st.tuples(own, st.integers(0, 300), st.integers(1, 255)).map(
@@ -164,7 +164,7 @@ def pieces(motors):
             lambda item: pack(damaged(*item))),
         st.tuples(own, st.integers(-8, 8)).map(lambda item: pack(
             item[0][:item[1]] if item[1] < 0 else item[0] + bytes(item[1]))),
-        st.sampled_from((1, 2, 3, 8)).flatmap(said).map(lambda frame: pack(frame.body())),
+        st.sampled_from((1, 2, 3, 8)).flatmap(reported).map(lambda frame: pack(frame.body())),
         st.just(b'\x01' * 80), st.just(b'\x01' * 230))
 
 
@@ -237,7 +237,7 @@ def test_the_firmwares_clock_may_wrap_around(library):
     assert [v[0] for v in actuated[-1000:]] == [min(k, 500) for k in range(1, 1001)]
     if motors > 1:
         assert [v[1] for v in actuated[-1000:]] == [max(-k - 1, -300) for k in range(1, 1001)]
-    # A clock that comes round while nobody commands wakes nothing.
+    # A clock that comes round without commands wakes nothing.
     for after in (6_000, 2 ** 31, 2 ** 32 - 6_000, 2 ** 32):
         for body in receiver.feed(device.step(b'', start + 1_000_000 + after)):
             assert decode(body).mode is Mode.SAFE

@@ -46,7 +46,7 @@ def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
     measured = state['round_trip'] > 0.0
     assert measured[np.argmax(measured):].all()     # from the first answer on
     assert measured.mean() > 0.5
-    # The first answer to a state says how long it took; a safe command sent after it does not.
+    # The first answer to a state reports how long it took; a safe command sent after it does not.
     answers = np.unique(command['echo_seq'], return_index=True)[1]
     assert np.all(command['hold'][answers] > 0.0)
     assert terms['theta1'][0] == 0.85
@@ -223,7 +223,7 @@ def test_a_users_mistake_is_one_line_and_exit_code_two(processes, tmp_path):
     assert not (tmp_path / 'run').exists()
 
 
-def test_without_rclpy_it_says_so_in_one_line(processes, tmp_path):
+def test_without_rclpy_it_reports_it_in_one_line(processes, tmp_path):
     hide = "import sys; sys.modules['rclpy'] = None; "
     node = processes(sys.executable, '-c', hide + 'from dz_ros.nodes.main import plant_node; '
                      'sys.exit(plant_node())')
