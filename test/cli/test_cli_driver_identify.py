@@ -60,7 +60,8 @@ def device(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_from_device_to_ready_configuration_and_again_from_its_run(tmp_path, capsys):
     out = tmp_path / 'found'
-    words = ('servo', *QUIET, '--set', 'loop.duration=5', '--repeats', '4')
+    words = ('servo', *QUIET, '--set', 'loop.duration=5', '--set', 'loop.rate=100', '--repeats',
+             '4')
     assert main(['driver', 'identify', *words, *LIMITS, '--yes', '--out', str(out)]) == 0
     reported = capsys.readouterr().out
     assert 'simulated is going to move: 4 times ramps and steps both ways' in reported
@@ -89,8 +90,9 @@ def test_from_device_to_ready_configuration_and_again_from_its_run(tmp_path, cap
 @pytest.mark.slow
 def test_a_run_of_the_loop_is_enough_as_well(tmp_path, capsys):
     c = Configuration.from_flat({
-        'plant.model': 'servo', 'controller.law': 'wang2004', 'loop.duration': 15.0,
-        'plant.noise': [1e-4, 1e-3], 'plant.x0': [0.1, 0.0], 'controller.lambda': 5.0,
+        'plant.model': 'servo', 'controller.law': 'wang2004', 'loop.duration': 21.0,
+        'loop.rate': 100.0, 'plant.noise': [1e-4, 1e-3], 'plant.x0': [0.1, 0.0],
+        'controller.lambda': 5.0,
         'trajectory.kind': 'multisine', 'trajectory.amplitudes': [1.0, 0.5],
         'trajectory.frequencies': [1.0, 2.7], 'trajectory.phases': [0.0, 0.0]})
     save_run(from_run(simulate(c)), tmp_path / 'run')

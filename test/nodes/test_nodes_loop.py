@@ -61,7 +61,7 @@ def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
 @pytest.mark.parametrize('overrides', [
     ('wang2004', 'plant.substeps=1'),
     *(('wang2004', f'controller.law={law}', 'controller.override_checks=true')
-      for law in LAWS.builtin),
+      for law in LAWS.builtin if law != 'wang2004'),
     ('wang2004', 'loop.delay=2', 'plant.noise=[0.001, 0.01]', 'loop.seed=7'),
     ('thruster', 'loop.schedule_times=[0.5, 1.5]', 'controller.law=scheduled',
      'controller.table_points=[14.0, 20.0]', 'controller.m_r_known=[0.86, 1.24]',
@@ -178,7 +178,7 @@ def test_no_node_outlives_dz_run(processes, children, tmp_path, number):
     assert read_run(tmp_path / 'run').info.get('cut') is None
 
 
-@pytest.mark.parametrize('name', ['20261122', 'true', 'a #b', 'a: b', "it's"])
+@pytest.mark.parametrize('name', ['20261122', 'true', "a: b #it's"])
 def test_a_run_is_recorded_under_the_name_given(processes, tmp_path, name):
     run = processes(*DZ, 'run', '--duration', '0.1', '--quiet', '--record', tmp_path / name)
     assert run.wait() == 0, run.output
