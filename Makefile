@@ -3,7 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 RUN ?= runs/demo-$(shell date +%Y%m%d-%H%M%S)
 PYTEST_ARGS ?=
-TEST_JOBS ?= 3
+TEST_JOBS ?= 6
+QUICK_JOBS ?= 3
 FUZZ_SECONDS ?= 600
 FUZZ_SEED ?=
 # Tests start hundreds of processes: what they import is compiled once.
@@ -13,7 +14,7 @@ bin := $(VENV)/bin
 python_sources := dz_ros benchmarks examples launch setup.py test tools
 environment = @$(PYTHON) tools/environment.py $(VENV)
 
-.PHONY: help demo test test-quick test-live coverage fuzz lint types docs site pictures bench bench-quick bench-all bench-faults colcon \
+.PHONY: help demo test test-quick test-thorough test-live coverage fuzz lint types docs site pictures bench bench-quick bench-all bench-faults colcon \
   wheel clean distclean
 
 help:  ## this list
@@ -25,13 +26,13 @@ demo:  ## 20 s of the paper's example in real time as four ROS 2 processes, reco
 	$(bin)/dz run config/wang2004.yaml --duration 20 --record $(RUN)
 	$(bin)/dz report $(RUN)
 
-test:  ## all tests, TEST_JOBS (3) at a time, in half an hour on two cores
+test:  ## all tests, TEST_JOBS (6) at a time: those with processes mostly wait
 	$(environment) ros test numba
 	$(bin)/python -m pytest -n $(TEST_JOBS) --dist loadgroup --durations=40 --durations-min=3 $(PYTEST_ARGS)
 
 test-quick:  ## in a minute: what needs no ROS process, no browser and no long computing
 	$(environment) ros test numba
-	$(bin)/python -m pytest -n $(TEST_JOBS) --dist loadgroup -m 'not ros and not live and not slow' \
+	$(bin)/python -m pytest -n $(QUICK_JOBS) --dist loadgroup -m 'not ros and not live and not slow' \
 	  --hypothesis-profile=quick $(PYTEST_ARGS)
 
 coverage:  ## lines and branches that the tests run, by folder; PYTEST_ARGS chooses the tests
@@ -40,6 +41,11 @@ coverage:  ## lines and branches that the tests run, by folder; PYTEST_ARGS choo
 	COVERAGE_FILE=build/coverage/data $(bin)/python -m pytest -n $(TEST_JOBS) --dist loadgroup \
 	  --cov --cov-branch --cov-report= $(PYTEST_ARGS)
 	$(bin)/python tools/coverage_by_folder.py build/coverage/data
+
+test-thorough:  ## tests of generated inputs with ten times as many inputs, others at each run
+	$(environment) ros test numba
+	$(bin)/python -m pytest -n $(QUICK_JOBS) --dist loadgroup -m 'not ros and not live' \
+	  --hypothesis-profile=thorough $(PYTEST_ARGS)
 
 test-live:  ## the page in a real browser (needs chromium; part of test)
 	$(environment) ros test numba

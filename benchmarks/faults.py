@@ -8,6 +8,8 @@
 Each fault has a loop of its own: plant, controller and trajectory as processes over DDS, the
 servo of config/servo.yaml on a sinusoid. Before the fault max|x̃| is taken, then the fault, then
 the reset services where something is latched, then max|x̃| again.
+
+Over 300 lines: injection, timing and the table of docs/safety.md are one measurement.
 """
 
 from __future__ import annotations

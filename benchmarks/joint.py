@@ -30,7 +30,7 @@ from machine import describe  # noqa: E402
 
 from dz_ros.files.configurations import load_configuration, write_parameters  # noqa: E402
 
-STAND_IN = ROOT / 'test' / 'nodes' / 'ros2_control_stand_in.py'
+EMULATOR = ROOT / 'test' / 'nodes' / 'ros2_control_emulator.py'
 OVERRIDES = ['safety.state_hold=40', 'safety.command_hold=40', 'safety.echo_limit=40',
              'driver.fresh=4', 'safety.error_limit=0']
 """A shared machine stalls; what is measured here is the age of states, not that."""
@@ -89,16 +89,16 @@ def measure(rate: int, delay: float, extrapolate: bool, seconds: float) -> list[
             return subprocess.Popen([sys.executable, *words], env=environment,
                                     stdout=subprocess.DEVNULL, start_new_session=True)
 
-        stand_in = start(str(STAND_IN), str(parameters), 'forward', f'rate={rate}',
+        emulator = start(str(EMULATOR), str(parameters), 'forward', f'rate={rate}',
                          f'delay={delay}', f'log={log}', 'active=1')
         others = [start('-m', 'dz_ros.nodes.main', name, '--ros-args', '--params-file',
                         str(parameters)) for name in ('controller_node', 'trajectory_node')]
         try:
             start(__file__, '--actuator', str(parameters), str(found)).wait(seconds + 90.0)
         finally:
-            for process in (*others, stand_in):
+            for process in (*others, emulator):
                 process.send_signal(signal.SIGINT)
-            for process in (*others, stand_in):
+            for process in (*others, emulator):
                 process.wait(30.0)
         said = json.loads(found.read_text(encoding='utf-8'))
         own = np.loadtxt(log)

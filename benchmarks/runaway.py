@@ -14,6 +14,8 @@ from 10 s on; its command is limited to one and a half times what the healthy lo
 
 Beside load: loops over topics with processes that compute all the time, at the priority of the
 loop, with half of the default runaway_time; first healthy ones, then the wrong sign.
+
+Over 300 lines: its three tables share the guard and the loops it judges.
 """
 
 from __future__ import annotations

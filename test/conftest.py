@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures: a ROS domain of one's own, processes that end with it, firmware, launches, runs."""
+"""Fixtures: a ROS domain of one's own, processes that end with it, firmware, launches, runs.
+
+Over 300 lines: what several folders share, and pytest finds nowhere else.
+"""
 
 from __future__ import annotations
 
@@ -34,12 +37,14 @@ from dz_ros.core.loop.offline import simulate
 from dz_ros.core.records import Command, Reference, State, Terms
 from dz_ros.version import version
 
-# A slow machine is no finding, and a test run twice is the same test; `make fuzz` looks for more.
+# A slow machine is no finding, and a test run twice is the same test; `make fuzz` searches on.
 hypothesis.settings.register_profile(
-    'test', deadline=None, derandomize=True,
+    'test', deadline=None, derandomize=True, max_examples=40,
     suppress_health_check=[hypothesis.HealthCheck.too_slow])
 hypothesis.settings.register_profile('quick', hypothesis.settings.get_profile('test'),
                                      max_examples=10)
+hypothesis.settings.register_profile('thorough', hypothesis.settings.get_profile('test'),
+                                     max_examples=400, derandomize=False)
 hypothesis.settings.load_profile('test')
 
 DOMAINS = range(102)
@@ -48,7 +53,7 @@ DOMAINS = range(102)
 os.environ['DZ_ROS_CACHE'] = 'off'      # what is tested is compiled from what is there now
 
 PROCESSES = 'processes'
-"""First word of the name of a group of tests that start processes of ROS or a browser."""
+"""First part of the name of a group of tests that start processes of ROS or a browser."""
 
 END_TIME_OUT = 30.0
 """A process that has not ended this long after SIGINT is killed [s]."""
@@ -400,14 +405,14 @@ LAUNCH = {'launch': ['LaunchDescription'],
 
 
 def parameter_value(value, value_type):
-    """Return the value that launch is told not to guess the type of."""
+    """Return the value that launch must not guess the type of."""
     assert type(value) is value_type
     return value
 
 
 @pytest.fixture
 def load_launch_file(monkeypatch, tmp_path):
-    """Return ``load(name) -> module`` of launch/NAME.launch.py, with stand-ins for launch."""
+    """Return ``load(name) -> module`` of launch/NAME.launch.py, with replacements for launch."""
     root = Path(__file__).parents[1]
 
     def load(name):
@@ -456,7 +461,7 @@ def over_topics() -> Callable[..., RunData]:
     """``over_topics(run, late={seq: ns})``: the run with the times a real-time loop would have.
 
     Every topic is published T apart, the command LATENCY after its state, each logged 100 µs
-    later; `late` delays the state of a sample, and what follows from it, by so many ns.
+    later; `late` delays the state of a sample, and what follows from it, by this number of ns.
     """
     def dress(run: RunData, late: Mapping[int, int] | None = None) -> RunData:
         count = len(run.channels['state'])
@@ -508,10 +513,10 @@ class Log:
         self.now += 100_000
         self.rows[name].append((self.now, tuple(map(float, numbers))))
 
-    def announce(self, configuration, seq, memory, said=None):
+    def announce(self, configuration, seq, memory, reported=None):
         self.now += 100_000
         self.events.append((self.now, '/controller_node', json.dumps({
-            'node': '/controller_node', 'event': 'configuration', 'version': said or version(),
+            'node': '/controller_node', 'event': 'configuration', 'version': reported or version(),
             'owns': ['controller'], 'configuration': configuration.to_flat(), 'set_aside': [],
             'seq': seq, 'memory': list(memory)})))
 
@@ -526,33 +531,33 @@ class Log:
                        self.configuration.to_flat(), {'mode': self.mode}, tuple(self.events))
 
 
-def real_time(samples=300, changes=(), restart=None, plant_restart=None, said=None, flat=BASE):
+def real_time(samples=300, changes=(), restart=None, plant_restart=None, reported=None, flat=BASE):
     """Return a real-time log with jitter, skipped periods, lost and repeated messages.
 
     Args:
         samples: States published.
         changes: (seq, overrides): gain changes.
-        restart: State at which the controller is started anew.
-        plant_restart: State at which the plant is started anew.
-        said: Version the controller states.
+        restart: State at which the controller is started again.
+        plant_restart: State at which the plant is started again.
+        reported: Version the controller states.
         flat: Configuration.
     """
     generator = np.random.default_rng(7)
     configuration = Configuration.from_flat(flat)
     log, controller, count = Log(configuration), Controller(configuration), 0
-    log.announce(configuration, 0, controller.memory, said)
+    log.announce(configuration, 0, controller.memory, reported)
     x, stamp, seq = list(configuration.x0), 0.0, 0
     changes = dict(changes)
     for k in range(samples):
         if k == restart:
             controller, count = Controller(configuration), 0
-            log.announce(configuration, 0, controller.memory, said)
+            log.announce(configuration, 0, controller.memory, reported)
         if k == plant_restart:
             x, stamp, seq = list(configuration.x0), 0.0, 0
         if count in changes:
             configuration = configuration.replace(**changes.pop(count))
             controller.law = configuration.law
-            log.announce(configuration, count, controller.memory, said)
+            log.announce(configuration, count, controller.memory, reported)
         sample = round(stamp / T)
         meant = Reference(seq, sample * T, configuration.trajectory(sample * T))
         log.put('reference', meant.numbers())

@@ -102,7 +102,7 @@ def test_its_commands_work_one_after_the_other_as_typed_in_that_folder(folder, i
     assert (folder / 'runs' / 'valve').is_dir()
 
 
-def test_without_the_path_it_is_told_what_to_do(folder, installed, processes):
+def test_without_the_path_it_prints_what_to_do(folder, installed, processes):
     done = processes(installed / 'dz', 'driver', 'check', 'my_valve:Valve', '--yes', cwd=folder,
                      PYTHONPATH=None)
     assert done.wait(60.0) == 2
@@ -128,14 +128,14 @@ def test_the_node_of_the_example_is_short_and_imports_nothing_of_ours():
 
 
 def test_the_entry_point_of_the_example_leads_to_its_class(monkeypatch):
-    told = {}
+    given = {}
     monkeypatch.setitem(sys.modules, 'setuptools',
-                        types.SimpleNamespace(setup=lambda **keys: told.update(keys)))
+                        types.SimpleNamespace(setup=lambda **keys: given.update(keys)))
     runpy.run_path(str(EXAMPLE / 'setup.py'))
-    for _, names in told['data_files']:
+    for _, names in given['data_files']:
         assert all((EXAMPLE / name).is_file() for name in names)
     monkeypatch.syspath_prepend(EXAMPLE)
-    (point,) = told['entry_points']['dz_ros.drivers']
+    (point,) = given['entry_points']['dz_ros.drivers']
     name, _, target = point.partition(' = ')
     driver = Configuration.from_flat({'plant.model': 'first_order',
                                       'driver.name': target}).make_driver()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""launch/replay.launch.py, run with stand-ins for launch, which has no wheels."""
+"""launch/replay.launch.py, run with replacements for launch, which has no wheels."""
 
 from pathlib import Path
 import re

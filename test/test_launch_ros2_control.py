@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""launch/ros2_control.launch.py, run with stand-ins for launch; and the controllers it names."""
+"""launch/ros2_control.launch.py, launch replaced; and the controllers it names."""
 
 from pathlib import Path
 import re

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The package as pip, colcon and rosdep see it; what the documents tell users to type."""
+"""The package as pip, colcon and rosdep see it; what the documents have users type."""
 
 import ast
 import importlib
@@ -63,17 +63,17 @@ def manifest():
 
 @pytest.fixture(scope='module')
 def described():
-    """Return what setup.py says, without setuptools doing anything."""
-    said = {}
+    """Return what setup.py reports, without setuptools doing anything."""
+    reported = {}
     stub = types.ModuleType('setuptools')
-    stub.setup = lambda **settings: said.update(settings)
+    stub.setup = lambda **settings: reported.update(settings)
     stub.find_packages = lambda include: include
     patch = pytest.MonkeyPatch()
     with patch.context() as context:
         context.setitem(sys.modules, 'setuptools', stub)
         context.chdir(ROOT)
         runpy.run_path(str(ROOT / 'setup.py'))
-    return said
+    return reported
 
 
 def test_version_and_description_have_one_source(manifest, described):
@@ -101,9 +101,9 @@ def test_version_of_an_installed_copy(monkeypatch, tmp_path):
     assert version_module.version() == '9.8.7'
 
 
-def test_version_of_a_copy_nobody_installed(monkeypatch, tmp_path):
+def test_version_of_a_copy_not_installed(monkeypatch, tmp_path):
     monkeypatch.setattr(version_module, '__file__', str(tmp_path / 'dz_ros' / 'version.py'))
-    monkeypatch.setattr(version_module, 'NAME', 'dz_ros_that_nobody_installed')
+    monkeypatch.setattr(version_module, 'NAME', 'dz_ros_not_installed')
     assert version_module.version() == 'unknown'
 
 
@@ -222,7 +222,7 @@ def leaves(text):
 
 
 @pytest.mark.parametrize('path', CONFIGURATIONS, ids=lambda path: path.stem)
-def test_every_value_says_what_it_is(path):
+def test_every_value_reports_what_it_is(path):
     lines = leaves(path.read_text(encoding='utf-8'))
     assert len(lines) > 10
     names = {'model', 'law', 'kind'}

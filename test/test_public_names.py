@@ -5,7 +5,7 @@ import ast
 from pathlib import Path
 import re
 
-MOST = 30
+MAX_PRIVATE_ACCESSES = 30
 """In all of test/; more of them bind tests to how the code is written."""
 PUBLIC = re.compile('__.*__$|_(asdict|fields|make|replace)$')
 """Underscores that are no secret: Python's own names, those of named tuples."""
@@ -37,4 +37,4 @@ def test_few_private_names_are_taken():
     root = Path(__file__).parent
     found = [f'{path.relative_to(root)}:{line}: {what}' for path in sorted(root.rglob('*.py'))
              for line, what in accesses(ast.parse(path.read_text(encoding='utf-8')))]
-    assert len(found) <= MOST, '\n'.join(found)
+    assert len(found) <= MAX_PRIVATE_ACCESSES, '\n'.join(found)

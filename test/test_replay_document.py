@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The worked examples of docs/replay.md say what the commands print."""
+"""The worked examples of docs/replay.md report what the commands print."""
 
 from pathlib import Path
 import re
@@ -38,7 +38,7 @@ def test_there_are_examples():
 
 
 @pytest.mark.slow
-def test_examples_print_what_the_document_says(tmp_path, monkeypatch, capsys):
+def test_examples_print_what_the_document_reports(tmp_path, monkeypatch, capsys):
     pytest.importorskip('matplotlib')
     monkeypatch.chdir(tmp_path)
     capsys.readouterr()

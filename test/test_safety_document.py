@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""docs/safety.md says what the code does: tables of states, parameters and their defaults."""
+"""docs/safety.md reports what the code does: tables of states, parameters and their defaults."""
 
 from pathlib import Path
 import re
@@ -24,10 +24,10 @@ def test_the_table_of_modes_is_the_codes():
         for (mode, event), (following, action) in MODES.items()]
 
 
-def test_the_table_of_life_is_the_codes():
+def test_the_table_of_the_lifecycle_is_the_codes():
     assert table('lifecycle table') == [
-        (life.value, name, following.value, event.value if event else '-')
-        for (life, name), (following, event) in LIFECYCLE.items()]
+        (state.value, name, following.value, event.value if event else '-')
+        for (state, name), (following, event) in LIFECYCLE.items()]
 
 
 def test_every_parameter_is_listed_with_default_and_unit():

@@ -79,6 +79,6 @@ def test_the_symptoms_are_printed_by_the_program():
     assert len(printed) > 5
     sources = ''.join(path.read_text(encoding='utf-8')
                       for path in sorted((ROOT / 'dz_ros').rglob('*.py')))
-    said = re.sub(r"'\s*\n\s*f?'", '', sources)      # texts that go on in the next line
-    assert [row for row in printed if row.partition(': ')[0] not in said] == []
-    assert 'the device moves against the command' in said
+    reported = re.sub(r"'\s*\n\s*f?'", '', sources)      # texts that go on in the next line
+    assert [row for row in printed if row.partition(': ')[0] not in reported] == []
+    assert 'the device moves against the command' in reported

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The faults: what is injected, what must happen."""
+"""The faults: what is injected, what must happen.
+
+Over 300 lines: one function for each fault, and the table of them.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A real loop of processes, and everything that is heard of it, for injecting faults."""
+"""A real loop of processes, and everything that is heard of it, for injecting faults.
+
+Over 300 lines: starting, observing and ending the loop share its processes.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +31,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.records import Command, State
 
 ROOT = Path(__file__).resolve().parents[2]
-STAND_IN = ROOT / 'test' / 'nodes' / 'ros2_control_stand_in.py'
+EMULATOR = ROOT / 'test' / 'nodes' / 'ros2_control_emulator.py'
 PATIENCE = 40.0
 NEAR, NEAR_WAIT = 0.1, 4.0
 """A reset waits until the reference is so near [rad], for at most longer than its period [s]."""
@@ -103,8 +106,8 @@ class Loop:
         self.estop = self.node.create_publisher(Bool, 'estop', QoSProfile(
             depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
         if joint:
-            self._do = self.node.create_publisher(String, '/stand_in/do', 10)
-            self.node.create_subscription(String, '/stand_in/interface', self._on_interface, 1000)
+            self._do = self.node.create_publisher(String, '/emulator/do', 10)
+            self.node.create_subscription(String, '/emulator/interface', self._on_interface, 1000)
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self.node)
         self._going = True
@@ -113,7 +116,7 @@ class Loop:
 
     def __enter__(self) -> Loop:
         if self.joint:
-            self.run_beside('stand_in', [sys.executable, str(STAND_IN), str(self._parameters),
+            self.run_beside('emulator', [sys.executable, str(EMULATOR), str(self._parameters),
                                          'forward', 'active=1'])
         for name in self.nodes:
             self.start(name)

@@ -93,7 +93,7 @@ def test_a_simulation_is_the_loop_bit_for_bit_compiled_or_not():
     assert np.array_equal(run.error, run.x - run.x_d[:, :2])
 
 
-def test_a_run_says_what_it_is():
+def test_a_run_reports_what_it_is():
     run = dz.simulate('servo', SHORT)
     assert repr(run).startswith('<Run ')
     assert 'servo' in repr(run)
@@ -155,7 +155,7 @@ def test_a_comparison_names_what_differs():
         dz.compare(*runs, names=('one', 'one'))
 
 
-def test_the_rules_say_what_they_find():
+def test_the_rules_report_what_they_find():
     assert dz.check('wang2004').worst == 'info'
     found = dz.check('wang2004', {'controller.k_star': 0.1})
     assert found.worst == 'error'
@@ -191,7 +191,7 @@ def test_a_class_of_a_script_is_a_plant():
     run = dz.simulate({'plant.model': Mass, 'controller.b_bounds': [1.5, 2.5]}, SHORT)
     assert run.configuration.plant.name == Mass.name
     assert run.metrics.error_max < 0.1
-    dz.load({'plant.model': Mass})      # once more
+    dz.load({'plant.model': Mass})      # again
     assert dz.load({'plant.model': Servo}).plant.name == 'servo'    # one of the package
 
     with pytest.raises(UnknownNameError, match='another plant'):

@@ -59,7 +59,7 @@ def test_info_counts_every_message(recorded, capsys):
         assert known in text
 
 
-def test_info_of_a_run_that_was_cut_off_says_how_to_go_on(cut_off, capsys):
+def test_info_of_a_run_that_was_cut_off_reports_how_to_go_on(cut_off, capsys):
     assert main(['bag', 'info', str(cut_off)]) == 0
     text = capsys.readouterr().out
     assert 'cut off' in text

@@ -106,7 +106,7 @@ def test_bags_of_other_tools(recorded, tmp_path, capsys, storage):
 
 
 @pytest.mark.parametrize('storage', ['mcap', 'sqlite3'])
-def test_what_another_tool_did_not_record_is_said_not_passed(recorded, tmp_path, capsys, storage):
+def test_what_another_tool_did_not_record_is_named_not_passed(recorded, tmp_path, capsys, storage):
     data = read_run(recorded)
     few = RunData({name: data.channels[name] for name in ('state', 'reference', 'command')})
     bag = foreign(few, tmp_path / 'few', storage, events=False)

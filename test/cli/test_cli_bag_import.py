@@ -16,7 +16,7 @@ MAP = 'stamp=ms*ms,x0=angle*deg,xd0=wanted*deg,v=percent/10-0.5'
 def log(tmp_path_factory):
     """Return a CSV file of a simulated servo: ms, degrees, and a command in percent, offset."""
     c = Configuration.from_flat({
-        'plant.model': 'servo', 'controller.law': 'wang2004', 'loop.duration': 25.0,
+        'plant.model': 'servo', 'controller.law': 'wang2004', 'loop.duration': 21.0,
         'plant.noise': [1e-5, 0.0], 'plant.x0': [0.1, 0.0], 'controller.lambda': 5.0,
         'plant.dead_zone.m_l': 0.8, 'trajectory.kind': 'multisine',
         'trajectory.amplitudes': [1.0, 0.5], 'trajectory.frequencies': [1.0, 2.7],
@@ -35,12 +35,13 @@ def imported(log, out, *words):
                  *words])
 
 
-def test_an_imported_log_tells_what_the_device_is(log, tmp_path, capsys):
+@pytest.mark.slow
+def test_an_imported_log_shows_what_the_device_is(log, tmp_path, capsys):
     run, found = tmp_path / 'run', tmp_path / 'found'
     assert imported(log, run) == 0
-    said = capsys.readouterr().out
-    assert 'x0 [rad] = angle*deg' in said
-    assert 'note: x1 is missing: observed from x0' in said
+    reported = capsys.readouterr().out
+    assert 'x0 [rad] = angle*deg' in reported
+    assert 'note: x1 is missing: observed from x0' in reported
     assert main(['bag', 'info', str(run)]) == 0
     assert main(['driver', 'identify', '--from', str(run), '--out', str(found)]) in (0, 1)
     capsys.readouterr()
@@ -62,7 +63,7 @@ def test_a_run_is_never_overwritten_and_its_configuration_is_kept(log, tmp_path,
     assert 'never overwritten' in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(('words', 'said'), [
+@pytest.mark.parametrize(('words', 'reported'), [
     (('nowhere.csv', '--map', MAP), 'no such file'),
     (('LOG', '--map', 'stamp=ms,x0=position'), 'begins with no column of the file; these are'),
     (('LOG', '--map', 'stamp=ms*ms,x5=angle'), 'is no signal of a run of order 2'),
@@ -71,12 +72,12 @@ def test_a_run_is_never_overwritten_and_its_configuration_is_kept(log, tmp_path,
     (('LOG', '--map', 'stamp=ms*ms,v=percent'), 'must name the column of x0'),
     (('LOG', '--map', MAP, '--config', 'nowhere'), 'nowhere'),
 ])
-def test_what_cannot_be_imported_is_one_line(log, tmp_path, capsys, words, said):
+def test_what_cannot_be_imported_is_one_line(log, tmp_path, capsys, words, reported):
     words = [str(log) if word == 'LOG' else word for word in words]
     out = tmp_path / 'run'
     assert main(['bag', 'import', *words, '--out', str(out), *(
         () if '--config' in words else ('--config', 'servo'))]) == 2
     error = capsys.readouterr().err
-    assert said in error
+    assert reported in error
     assert error.count('\n') == 1
     assert not out.exists()

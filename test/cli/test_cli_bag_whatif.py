@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`dz bag whatif` and `dz bag compare`: what they write and what they say."""
+"""`dz bag whatif` and `dz bag compare`: what they write and what they report."""
 
 import numpy as np
 import pytest
@@ -68,7 +68,7 @@ def test_real_hardware(runs, tmp_path, capsys):
                  str(tmp_path / 'out')]) == 0
 
 
-def test_a_what_if_that_diverges_says_when(runs, tmp_path, capsys):
+def test_a_what_if_that_diverges_reports_when(runs, tmp_path, capsys):
     assert main(['bag', 'whatif', str(runs / 'a'), '--set', 'controller.lambda=40', '--set',
                  'loop.delay=4', '--out', str(tmp_path / 'out')]) == 2
     assert 'the loop diverged' in capsys.readouterr().err
@@ -101,7 +101,7 @@ def test_compare(runs, tmp_path, capsys):
     assert 'at least two' in capsys.readouterr().err
 
 
-def test_runs_get_names_that_tell_them_apart(tmp_path):
+def test_runs_get_names_that_distinguish_them(tmp_path):
     assert names([tmp_path / 'a', tmp_path / 'b']) == ['a', 'b']
     assert names([tmp_path / 'x' / 'a', tmp_path / 'y' / 'a']) == ['x/a', 'y/a']
     assert names([tmp_path / 'a', tmp_path / 'a']) == ['1: a', '2: a']

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`dz check`: findings in words and as JSON, and the exit code that scripts look at."""
+"""`dz check`: findings as text and as JSON, and the exit code that scripts look at."""
 
 import json
 

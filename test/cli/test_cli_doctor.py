@@ -30,15 +30,15 @@ def measured(p99, refused=()):
     return {'refused': list(refused), 'p50': 1e-5, 'p99': p99, 'max': p99, 'late': 0, 'ticks': 20}
 
 
-def told(monkeypatch, capsys, answers):
-    """Return what the doctor says where measurements give these answers, one for each set-up."""
+def printed(monkeypatch, capsys, answers):
+    """Return what the doctor prints where measurements give these answers, one a set-up."""
     monkeypatch.setattr(doctor, 'measure', lambda words, _: answers[bool(words)])
     assert main(['doctor', '--seconds', '0.1']) == 0
     return capsys.readouterr().out
 
 
 def test_a_machine_that_permits_nothing_gets_one_line_of_advice(monkeypatch, capsys):
-    out = told(monkeypatch, capsys, {False: measured(1e-4),
+    out = printed(monkeypatch, capsys, {False: measured(1e-4),
                                      True: measured(1e-4, ['SCHED_FIFO 50'])})
     advice = [line for line in out.splitlines() if 'limits.conf' in line]
     assert len(advice) == 1
@@ -47,12 +47,12 @@ def test_a_machine_that_permits_nothing_gets_one_line_of_advice(monkeypatch, cap
 
 
 def test_what_helps_is_named_with_what_it_helps(monkeypatch, capsys):
-    out = told(monkeypatch, capsys, {False: measured(1e-3), True: measured(1e-4)})
+    out = printed(monkeypatch, capsys, {False: measured(1e-3), True: measured(1e-4)})
     assert 'makes the ticks 10.0 times as punctual' in out
 
 
 def test_what_does_not_help_is_not_recommended(monkeypatch, capsys):
-    assert 'leave them off' in told(monkeypatch, capsys, {False: measured(1e-4),
+    assert 'leave them off' in printed(monkeypatch, capsys, {False: measured(1e-4),
                                                           True: measured(9e-5)})
 
 

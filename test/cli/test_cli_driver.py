@@ -36,7 +36,7 @@ def test_as_json_it_is_all_there(capsys):
     assert all(row['error'] or row['summary'] for row in rows.values())
 
 
-def test_one_that_cannot_load_says_why():
+def test_one_that_cannot_load_reports_why():
     row = describe('x', UnknownNameError('driver.name', 'x', 'cannot be loaded: no such file'))
     assert row['error'] == "driver.name = 'x': cannot be loaded: no such file"
 

@@ -24,7 +24,7 @@ def test_one_line_a_thing(kind, things, capsys):
     assert len(lines) == len(things.all())
 
 
-def test_configurations_say_what_they_are(capsys):
+def test_configurations_report_what_they_are(capsys):
     assert main(['list', 'configurations']) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == list(shipped_configurations())

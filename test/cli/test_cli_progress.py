@@ -12,7 +12,7 @@ from dz_ros.cli.progress import Progress, silence, stage
 
 
 @pytest.fixture(autouse=True)
-def _heard():
+def _received():
     yield
     silence(False)
 

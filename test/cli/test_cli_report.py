@@ -44,7 +44,7 @@ def test_report_lies_beside_the_run_and_shows_five_numbers(recorded, capsys):
     assert float(found['total variation of v']) == pytest.approx(
         np.abs(np.diff(run.v[inside])).sum() / 3.0, rel=1e-3)
     assert found['messages missing, all topics'] == '0'
-    assert found['periods within 1 ms of 5 ms'] == '-'    # off line there is no timing
+    assert found['periods within 1 ms of 5 ms'] == '-'    # offline there is no timing
 
 
 def test_json_is_for_programs_and_writes_nothing(recorded, tmp_path, capsys):
@@ -90,7 +90,7 @@ def test_where_the_loop_without_dead_zone_diverges_the_rest_is_reported(
 
 @pytest.mark.parametrize('words', [
     ['nowhere'], ['RUN', '--window', '5', '1'], ['RUN', '--without-dead-zone', 'nowhere'],
-    ['RUN', '--out', 'a file'], ['RUN', '--namespace', 'nobody'],
+    ['RUN', '--out', 'a file'], ['RUN', '--namespace', 'elsewhere'],
 ])
 def test_mistakes_are_one_line_and_leave_nothing(words, recorded, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -105,7 +105,7 @@ def test_mistakes_are_one_line_and_leave_nothing(words, recorded, tmp_path, caps
     assert [path.name for path in tmp_path.iterdir()] == ['a file']
 
 
-def test_a_run_that_was_cut_off_is_reported_and_said(recorded, tmp_path, capsys):
+def test_a_run_that_was_cut_off_is_reported(recorded, tmp_path, capsys):
     (source,) = recorded.glob('*.mcap')
     part = tmp_path / 'part.mcap'
     part.write_bytes(source.read_bytes()[:source.stat().st_size * 7 // 10])

@@ -192,7 +192,7 @@ def test_divergence_names_the_time(overrides, capsys):
     assert not finite(last)
 
 
-def test_what_is_typed_in_vain_is_said(capsys):
+def test_what_is_typed_in_vain_is_reported(capsys):
     assert main(['simulate', 'wang2004', *SHORT, '--set', 'controller.law=pd', '--set',
                  'controller.k_star=3']) == 0
     err = capsys.readouterr().err

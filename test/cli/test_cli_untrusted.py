@@ -84,13 +84,13 @@ def test_no_verb_imports_what_a_recording_names(original, tmp_path, verb):
     save_run(naming(original, **named), tmp_path / 'run')
     done = dz(*(word.format(run=tmp_path / 'run', out=tmp_path / 'out') for word in VERBS[verb]),
               path=tmp_path)
-    said = done.stdout + done.stderr
-    assert not (tmp_path / 'was_imported').exists(), said
-    assert done.returncode == CANNOT.get(verb, 0), said
-    assert 'Traceback' not in said
+    reported = done.stdout + done.stderr
+    assert not (tmp_path / 'was_imported').exists(), reported
+    assert done.returncode == CANNOT.get(verb, 0), reported
+    assert 'Traceback' not in reported
     if verb not in ('info', 'recover'):
-        assert "'evil_module:Thing'" in said
-        assert '--allow-import evil_module' in said
+        assert "'evil_module:Thing'" in reported
+        assert '--allow-import evil_module' in reported
 
 
 @pytest.mark.slow
@@ -101,12 +101,12 @@ def test_an_allowed_import_that_fails_is_one_line_and_no_success(original, tmp_p
     save_run(naming(original, **{'plant.model': 'evil_module:Thing'}), tmp_path / 'run')
     done = dz(*(word.format(run=tmp_path / 'run', out=tmp_path / 'out') for word in VERBS[verb]),
               '--allow-import', 'evil_module', path=tmp_path)
-    said = done.stdout + done.stderr
+    reported = done.stdout + done.stderr
     assert (tmp_path / 'was_imported').exists()
-    assert done.returncode in (1, 2), said
-    assert 'Traceback' not in said
-    assert 'cannot be loaded' in said
-    assert 'bit for bit' not in said
+    assert done.returncode in (1, 2), reported
+    assert 'Traceback' not in reported
+    assert 'cannot be loaded' in reported
+    assert 'bit for bit' not in reported
 
 
 def test_a_plant_of_ones_own_is_audited_with_the_option(original, tmp_path):
@@ -171,11 +171,11 @@ def test_no_line_is_forged(original, tmp_path, verb):
     save_run(data, tmp_path / 'run')
     done = dz(*(word.format(run=tmp_path / 'run', out=tmp_path / 'out') for word in VERBS[verb]),
               path=tmp_path)
-    said = done.stdout + done.stderr
-    assert 'Traceback' not in said
-    assert '\x1b' not in said
-    assert '\r' not in said
-    assert not any(line.startswith(('every', 'forged')) for line in said.splitlines())
+    reported = done.stdout + done.stderr
+    assert 'Traceback' not in reported
+    assert '\x1b' not in reported
+    assert '\r' not in reported
+    assert not any(line.startswith(('every', 'forged')) for line in reported.splitlines())
     if verb == 'report with pictures':
         page = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
         assert '\x1b' not in page

@@ -223,7 +223,7 @@ def test_where_one_cannot_be_enabled_none_is():
                                                               ('c', 'close')]
 
 
-def test_the_life_of_all_axes_is_one():
+def test_the_lifecycle_of_all_axes_is_one():
     machine = Machine(THREE)
     machine.step()
     answers = machine.controller.transition('deactivate')

@@ -114,7 +114,7 @@ def test_repeated_states_get_the_same_command_and_older_ones_none(configuration)
     assert controller.ignored == {'repeated': 1, 'out_of_order': 1, 'not_finite': 0}
 
 
-def test_a_plant_that_starts_anew_is_answered_with_adaptation_frozen_once(configuration):
+def test_a_plant_that_starts_again_is_answered_with_adaptation_frozen_once(configuration):
     controller = Controller(configuration)
     controller.set_reference(reference(configuration, 0))
     controller.respond(State(7, 7 * T, (1.0, 1.0)))

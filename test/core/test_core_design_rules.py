@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the design rules say of configurations, and the stability limit on λ."""
+"""What the design rules report of configurations, and the stability limit on λ."""
 
 from dataclasses import asdict
 import json
@@ -106,7 +106,7 @@ DEVICE = {'driver.name': 'serial', 'controller.law': 'robust'}
 
 @pytest.mark.parametrize('driven', [True, False])
 def test_of_a_real_device_the_plant_s_section_proves_nothing(driven):
-    """Neither for who drives it nor for the controller, which does not load the driver."""
+    """Neither for the host nor for the controller, which does not load the driver."""
     device = Configuration.from_flat(DEVICE, driven)
     assert not device.simulated
     words = {item.rule: item.words for item in check(device)}
@@ -225,7 +225,7 @@ def test_every_combination_gets_sentences(law, plant):
         assert all(isinstance(value, float | int) for value in item.numbers.values())
 
 
-def test_a_law_nobody_knows_is_said_to_be_unknown():
+def test_an_unknown_law_is_reported_as_unknown():
     class Stranger(Pd):
         name = 'stranger'
         design = None

@@ -22,7 +22,7 @@ def test_no_pulse_leaves_every_bit(pulse):
         assert np.array_equal(getattr(calm, name), getattr(disturbed, name)), name
 
 
-def test_a_pulse_begins_and_ends_where_it_says():
+def test_a_pulse_begins_and_ends_where_it_reports():
     calm, disturbed = run(), run(**{'plant.disturbance_pulse': [0.5, 20.0, 0.05]})
     assert np.array_equal(calm.x[:101], disturbed.x[:101])
     assert disturbed.x[101, 1] - calm.x[101, 1] == pytest.approx(0.1, rel=1e-3)

@@ -55,13 +55,13 @@ def on_path(fresh):
 
 @pytest.fixture
 def described(fresh):
-    """Return what setup.py tells setuptools, without setuptools."""
-    told = {}
+    """Return what setup.py gives setuptools, without setuptools."""
+    given = {}
     fresh.setitem(sys.modules, 'setuptools',
-                  types.SimpleNamespace(setup=lambda **keys: told.update(keys)))
+                  types.SimpleNamespace(setup=lambda **keys: given.update(keys)))
     fresh.chdir(EXAMPLE)
     runpy.run_path('setup.py')
-    return told
+    return given
 
 
 @pytest.fixture
@@ -113,7 +113,7 @@ def test_both_ways_are_the_same_run_and_written_down_as_given(installed):
     assert named.to_flat()['plant.model'] == 'tank'
 
 
-def test_without_it_the_error_says_what_to_do(monkeypatch):
+def test_without_it_the_error_reports_what_to_do(monkeypatch):
     with pytest.raises(UnknownNameError, match=r'no such plant; known: wang2004.*package\.module'):
         Configuration.from_flat(read())
     with pytest.raises(UnknownNameError, match='cannot be loaded'):
@@ -135,7 +135,7 @@ def test_their_checks_are_asked(on_path):
                                  'trajectory.kind': NAMES['trajectory.kind']})
 
 
-def test_tank_and_curve_are_what_they_say(on_path):
+def test_tank_and_curve_are_what_they_report(on_path):
     c = Configuration.from_flat({**read(), **NAMES, 'controller.k_p': 0.0, 'controller.k_i': 0.0})
     found = simulate(c)  # no command: the tank runs empty
     expected = integrate.solve_ivp(lambda _, h: -0.01 * np.sqrt(np.maximum(h, 0.0)), (0.0, 30.0),

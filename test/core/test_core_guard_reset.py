@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The latched guard of `robust` is released while the law runs, said with seq and memory."""
+"""The latched guard of `robust` is released while the law runs, reported with seq and memory."""
 
 import dataclasses
 import json
@@ -62,6 +62,6 @@ def test_reset_while_running_is_announced_and_the_audit_follows_it():
     assert not audit(dataclasses.replace(run, events=events[:1])).passed
 
 
-def test_a_law_that_has_nothing_latched_says_so():
+def test_a_law_that_has_nothing_latched_reports_it():
     c = Configuration.from_flat({'controller.law': 'wang2004'})
     assert ControllerGuard(c).reset(0.0) == 'nothing is latched'

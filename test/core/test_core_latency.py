@@ -80,7 +80,7 @@ def test_a_summary_is_json_and_complete(values):
     assert summary['max'] == max(values)
 
 
-def test_nothing_counted_is_nothing_said():
+def test_nothing_counted_is_nothing_reported():
     report = Report()
     Latency(0.005).report(report, 'round trip', True)
     assert 'round trip p50 [ms]' not in report.values

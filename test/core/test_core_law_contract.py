@@ -114,7 +114,7 @@ def knows_a_limit(name):
 
 
 @pytest.mark.parametrize('name', [name for name in LAWS.builtin if knows_a_limit(name)])
-def test_laws_that_know_a_limit_say_when_they_freeze(name):
+def test_laws_that_know_a_limit_report_when_they_freeze(name):
     """Pushing beyond the limit against s: a status bit, estimates and integral stand still."""
     values = {'extended': {'anti_windup': True}, 'robust_eso': {'start_rate': 0.0},
               'scheduled': {'start_rate': 0.0}, 'coupled_eso': {'start_rate': 0.0}}.get(name, {})
@@ -138,7 +138,7 @@ def test_laws_that_know_a_limit_say_when_they_freeze(name):
 @EVERY_LAW
 @pytest.mark.parametrize('order', [1, 2, 3])
 def test_design_is_the_slope_of_the_kernel(name, order):
-    """What the design rules are told is what the law does about s = 0, far from v = 0."""
+    """What a law declares to the design rules is what it does about s = 0, far from v = 0."""
     values = {'robust': {'k_2': 0.0}, 'robust_eso': {'k_2': 0.0, 'start_rate': 0.0},
               'scheduled': {'k_2': 0.0, 'start_rate': 0.0}, 'coupled_eso': {'start_rate': 0.0},
               **{key: {'v_clip': 0.0} for key in NOMINAL}}.get(name, {})

@@ -20,7 +20,7 @@ EVERY_LAW = pytest.mark.parametrize('name', LAWS.builtin)
 
 
 def make(name, order=2, count=2, **values):
-    """Return a law, or skip the shapes it says it is not made for."""
+    """Return a law, or skip the shapes it reports it is not made for."""
     law = LAWS.load(name)
     if law.orders and order not in law.orders:
         pytest.skip(f'{name} is for plants of order {law.orders}')
@@ -62,7 +62,7 @@ def driven(name, order, count):
 
 
 @EVERY_LAW
-def test_says_who_it_is(name):
+def test_states_its_name(name):
     law = make(name)
     assert isinstance(law, Law)
     assert law.name == name
@@ -113,7 +113,7 @@ def test_an_interval_of_zero_freezes_the_memory(name, order, count):
 
 
 @EVERY_LAW
-def test_starts_anew_from_its_initial_memory(name):
+def test_starts_again_from_its_initial_memory(name):
     """Nothing of a run stays in the object: a second run is the first."""
     law = make(name)
     first = drive(law)

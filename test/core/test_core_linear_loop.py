@@ -52,7 +52,7 @@ def test_largest_input_gain_is_that_of_the_independent_program(law, limits):
 
 @pytest.mark.parametrize(('lambda_', 'delay', 'limit'), [
     (10.0, 1, 2.33), (10.0, 2, 1.11), (20.0, 1, 2.06), (20.0, 2, 0.91)])
-def test_a_steep_surface_leaves_less_than_the_rule_on_the_slope_says(lambda_, delay, limit):
+def test_a_steep_surface_leaves_less_than_the_rule_on_the_slope_reports(lambda_, delay, limit):
     law = make(Robust, **{'lambda': lambda_})
     assert largest_beta(law.layer_model(), T, delay) == pytest.approx(limit, rel=6e-3)
 
@@ -72,7 +72,7 @@ def test_an_observed_velocity_and_an_integral_need_a_fast_pole():
 @pytest.mark.parametrize('delay', [0, 1, 2, 3])
 @pytest.mark.parametrize('order', [1, 2, 3])
 @pytest.mark.parametrize('observer', [0.0, 120.0])
-def test_the_matrix_is_the_loop_stepped_by_hand(order, delay, observer):
+def test_the_matrix_is_the_loop_stepped_directly(order, delay, observer):
     """Another road: step the chain, the delay line, the observer and the law one by one."""
     if order == 1 and observer:
         pytest.skip('nothing to observe')

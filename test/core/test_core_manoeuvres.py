@@ -175,7 +175,7 @@ def test_gains_keep_the_rules_of_design(name):
 
 
 @pytest.mark.parametrize('name', FILES)
-def test_every_line_of_a_file_says_unit_and_why(name):
+def test_every_line_of_a_file_reports_unit_and_why(name):
     lines = (CONFIG / f'{name}.yaml').read_text(encoding='utf-8').splitlines()
     assert lines[0].startswith('# ')
     for number, line in enumerate(lines, 1):

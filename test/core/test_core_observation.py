@@ -94,20 +94,20 @@ def test_from_50_to_100_radians_a_second_suit_a_layer_of_0_05_under_noise(omega)
 
 @pytest.mark.parametrize(('omega', 'words', 'change'), [
     (20.0, 'oscillates', 'raise driver.observer to 4'), (200.0, '0.0899 of ε = 0.05', 'lower')])
-def test_a_pole_too_slow_or_too_fast_is_a_warning_that_says_what_to_do(omega, words, change):
+def test_a_pole_too_slow_or_too_fast_is_a_warning_that_reports_what_to_do(omega, words, change):
     (found,) = findings(driver__observer=omega)
     assert found.level == WARNING
     assert words in found.words
     assert change in found.change
 
 
-def test_a_layer_too_thin_for_any_pole_is_told():
+def test_a_layer_too_thin_for_any_pole_is_reported():
     (found,) = findings(driver__observer=50.0, controller__epsilon=0.02)
     assert found.level == WARNING
     assert 'widen ε' in found.change
 
 
-def test_nothing_is_said_where_the_velocity_is_measured_or_the_law_unknown():
+def test_nothing_is_reported_where_the_velocity_is_measured_or_the_law_unknown():
     assert findings(driver__measures=0) == []
     assert findings(controller__law='pd') == []
     configuration = Configuration.from_flat({'driver.name': 'mock'}, driven=False)

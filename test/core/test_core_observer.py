@@ -24,7 +24,7 @@ def test_the_error_has_a_double_pole_at_exp_minus_omega_t(omega):
         errors.append((observer.memory[1] - 2.0 * k * T, observer.memory[2] - 2.0))
     z = math.exp(-omega * T)
     for column in np.array(errors).T:
-        # Whoever has a double pole z obeys e_k = 2 z e_(k−1) − z² e_(k−2).
+        # An observer of a double pole z obeys e_k = 2 z e_(k−1) − z² e_(k−2).
         assert column[2:] == pytest.approx(2 * z * column[1:-1] - z * z * column[:-2], abs=1e-12)
     assert max(map(abs, errors[-1])) < 1e-3 * 2.0 or omega < 50.0
 

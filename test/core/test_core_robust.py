@@ -55,7 +55,7 @@ def test_the_layer_follows_from_the_rate():
 
 
 class Program:
-    """The law written down once more, from its description, with an object's own state."""
+    """The law written down again, from its description, with an object's own state."""
 
     def __init__(self, g, order, count, period):
         self.g, self.period = g, period
@@ -193,7 +193,7 @@ def guarded(sides, spacing=1, law=None):
 def test_guard_steps_after_three_changes_of_side_and_latches():
     kappa, _ = guarded([1, -1, 1, -1, 0, 0, 1, 1, 1])
     assert kappa == pytest.approx([1, 1, 1, 0.7, 0.7, 0.7, 0.7, 0.7, 0.7])
-    # counting starts anew: the next three changes step again
+    # counting starts again: the next three changes step again
     kappa, _ = guarded([1, -1, 1, -1, 1, -1, 1, -1])
     assert kappa[-1] == pytest.approx(0.49)
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The law `robust_eso`: reference run, a program of its own, rules, shaped start."""
+"""The law `robust_eso`: reference run, a program of its own, rules, shaped start.
+
+Over 300 lines: the law is written down a second time here, to compare with.
+"""
 
 import math
 from pathlib import Path
@@ -45,7 +48,7 @@ def test_is_the_reference_run():
 
 
 class Program:
-    """The law written down once more, from its description, with an object's own state."""
+    """The law written down again, from its description, with an object's own state."""
 
     def __init__(self, g, order, count, period):
         self.g, self.n, self.period = g, order, period
@@ -233,7 +236,7 @@ def test_an_interval_of_zero_leaves_the_memory_as_it_is():
 
 @pytest.mark.parametrize('order', [1, 2, 3, 4])
 def test_the_shaped_start_has_no_jump_and_fades_with_its_own_rate(order):
-    """s(0) = 0, and η is the motion it is said to be: (d/dt + a)^n η = 0."""
+    """s(0) = 0, and η is the motion it is reported to be: (d/dt + a)^n η = 0."""
     law = make(order, 0, start_rate=2.0)
     names = law.signal_names
     x_d, x = (0.0,) * (order + 1), tuple(0.5 / (i + 1) for i in range(order))

@@ -154,7 +154,7 @@ def test_a_law_that_diverges_is_a_fault_and_its_memory_stays_finite():
     assert all(map(math.isfinite, loop.guard.controller.memory))
 
 
-def test_saturation_against_s_freezes_the_estimates_and_says_so():
+def test_saturation_against_s_freezes_the_estimates_and_reports_it():
     loop = Loop(safety__command_limit=5.0)
     answers = loop.play(0, 100)
     saturated = [(command, terms) for command, terms in answers
@@ -226,7 +226,7 @@ def test_the_section_survives_the_round_trip():
     assert Configuration.from_flat(configuration.to_flat()).safety == configuration.safety
 
 
-def test_the_bare_controller_has_the_same_gate():
+def test_the_bare_controller_has_the_same_bounds():
     configuration = Configuration.from_flat({'safety.command_limit': 4.0})
     controller = Controller(configuration)
     controller.set_reference(Reference(0, 0.0, configuration.trajectory(0.0)))

@@ -99,7 +99,7 @@ def test_reset_needs_a_fresh_command_and_a_released_button():
     assert actuator.send(2.0, t=10.0 + T) == 2.0
 
 
-def test_after_a_fault_of_the_device_nobody_could_have_answered():
+def test_after_a_fault_of_the_device_no_command_can_have_come():
     actuator = Actuator()
     actuator.send(2.0)
     actuator.guard.fault('the drive has restarted', T)

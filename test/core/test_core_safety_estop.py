@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The record of who presses the e-stop, against a list that forgets nothing."""
+"""The record of the publishers that press the e-stop, against a list that forgets nothing."""
 
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -58,7 +58,7 @@ def test_every_way_out_of_running_that_may_leave_the_actuator_moving_is_safe():
             assert action is Action.SAFE or event is Event.END
 
 
-def test_life_follows_the_standard_and_a_latch_outlives_it():
+def test_the_lifecycle_follows_the_standard_and_a_latch_outlives_it():
     changes = []
     supervisor = Supervisor(changes.append)
     for name in ('configure', 'activate'):
@@ -149,7 +149,7 @@ def test_each_kind_of_bad_message_has_its_name_and_is_counted():
     assert judge(guard, 9.0, 0.0) is Verdict.TAKEN
     assert guard.skipped == 3
     assert sum(guard.rejected().values()) == len(expected)
-    # Where a sender may have started anew any seq is right, but only a seq.
+    # Where a sender may have started again any seq is right, but only a seq.
     assert judge(guard, 0.0, 0.0, resync=True) is Verdict.TAKEN
     assert judge(guard, math.nan, 0.0, resync=True) is Verdict.NOT_FINITE
 
@@ -221,7 +221,7 @@ def test_a_reference_from_the_future_is_not_followed():
     guard.supervisor.transition('activate')
     guard.reference((0.0, 1e8, 1.0, 0.0, 0.0), 0.0)
     state = guard.take((0.0, 0.0, *c.x0, -1.0, 0.0, 0.0), 0.0)
-    assert not guard.ready(state)       # nobody has sent the one for now
+    assert not guard.ready(state)       # the one for now was not sent
     assert guard.reference((0.0, 0.0, *c.trajectory(0.0)), 0.0)
     assert guard.ready(state)
     honest = guard.answer(state, 0.0)

@@ -141,7 +141,7 @@ def test_the_actuators_end_forgets_what_was_before_a_stop():
 
 @pytest.mark.parametrize(('behind', 'stops'), [(1, True), (2, True), (3, False), (20, False)])
 def test_the_controllers_end_does_not_judge_by_commands_that_have_not_arrived(behind, stops):
-    """A stalled actuator holds an old command; the newest says nothing about what it does."""
+    """A stalled actuator holds an old command; the newest reports nothing about what it does."""
     c = Configuration.from_flat({'plant.model': 'servo', 'controller.law': 'pd',
                                  'trajectory.kind': 'constant',
                                  'safety.command_limit': 3.0, 'safety.error_limit': 0.0})

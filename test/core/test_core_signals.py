@@ -89,7 +89,7 @@ def test_adaptation_gains_have_the_units_of_their_equations(law):
         assert gains['eta'] == 'V s⁴/m³'                    # φ̂ per s, over m/s² and m/s
 
 
-def test_names_alone_say_what_is_reserved():
+def test_names_alone_report_what_is_reserved():
     found = declared(('s', 'theta12', 'phi', 'kappa_f', 'phi_before', 'theta0', 'theta१'))
     assert [item.role for item in found] == [
         Role.OTHER, Role.ESTIMATE, Role.ESTIMATE, Role.OTHER, Role.MEMORY, Role.OTHER, Role.OTHER]

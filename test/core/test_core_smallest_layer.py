@@ -65,7 +65,7 @@ def test_advice_on_chatter_names_keys_the_law_has(values, parts):
             assert word in known
 
 
-def test_layer_of_a_law_nobody_knows_the_keys_of(monkeypatch):
+def test_layer_of_a_law_of_unknown_keys(monkeypatch):
     """A law of one's own may make ε as it likes: advice without keys, no traceback."""
     strange = replace(configuration().law.design, least_gain=20.0)
     monkeypatch.setattr(Pd, 'design', strange)

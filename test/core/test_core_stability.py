@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sampled loop and its slope λ: where it is lost, what the rule says of it."""
+"""The sampled loop and its slope λ: where it is lost, what the rule reports of it."""
 
 import math
 

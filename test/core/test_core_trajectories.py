@@ -210,7 +210,7 @@ def test_many_waypoints_of_a_smooth_curve_reproduce_its_derivatives():
             (math.sin(t), math.cos(t), -math.sin(t), -math.cos(t)), abs=1e-6)
 
 
-@pytest.mark.parametrize(('kind', 'values', 'key', 'says'), [
+@pytest.mark.parametrize(('kind', 'values', 'key', 'reports'), [
     ('multisine', {'frequencies': []}, 'frequencies', 'at least one'),
     ('multisine', {'frequencies': [-1.0, 1.0]}, 'frequencies', '>= 0'),
     ('multisine', {'amplitudes': [1.0, 2.0, 3.0]}, 'amplitudes', '1 or 2'),
@@ -233,11 +233,11 @@ def test_many_waypoints_of_a_smooth_curve_reproduce_its_derivatives():
     ('waypoints', {'times': [0.0, 1.0], 'positions': [1.0, 2.0], 'repeat': True}, 'repeat',
      'to be the first'),
 ])
-def test_refuses_with_key_and_what_is_allowed(kind, values, key, says):
+def test_refuses_with_key_and_what_is_allowed(kind, values, key, reports):
     with pytest.raises(ConfigurationError) as caught:
         make(kind, values)
     assert caught.value.key == f'trajectory.{key}'
-    assert says in str(caught.value)
+    assert reports in str(caught.value)
     assert '\n' not in str(caught.value)
 
 

@@ -32,7 +32,7 @@ class Fake:
         self._master, self._slave = pty.openpty()
         tty.setraw(self._slave)
         self.port = os.ttyname(self._slave)
-        self.heard = []
+        self.received = []
         self._receiver = Receiver()
         self._answer = answer
         self._stop = threading.Event()
@@ -48,8 +48,8 @@ class Fake:
             except BlockingIOError:
                 data = b''
             for body in self._receiver.feed(data):
-                self.heard.append(decode(body))
-                for reply in self._answer(self.heard[-1]):
+                self.received.append(decode(body))
+                for reply in self._answer(self.received[-1]):
                     os.write(self._master, reply)
 
     def stop(self):
@@ -82,8 +82,8 @@ class Liar:
 
     Attributes:
         change: State that the device sends → the states that are sent instead.
-        hears: Command of the host → whether it reaches the device.
-        name: What it says it is.
+        receives: Command of the host → whether it reaches the device.
+        name: What it reports it is.
         shift: Added to its clock [µs].
         measured: Motor → its values [counts].
         faults: Fault code of each motor.
@@ -94,7 +94,7 @@ class Liar:
         self.motors, self.faults = motors, [0] * motors
         self.measured = lambda motor: (100 + motor, 0)
         self.change = lambda state: [state]
-        self.hears = lambda command: True
+        self.receives = lambda command: True
         self.drift, self.shift, self.name = 1.0, 0, 'bench'
         self.info = True
         self.given = []
@@ -112,7 +112,7 @@ class Liar:
         self._thread.start()
 
     def restart(self):
-        """Start anew, as after a loss of power."""
+        """Start again, as after a loss of power."""
         self.device = Device(
             Info(0, (MotorInfo(30000, 1e-3, (1e-3, 1e-3)),) * self.motors, ''),
             lambda: ([self.measured(motor) for motor in range(self.motors)], self.faults),
@@ -134,7 +134,7 @@ class Liar:
                 frame = decode(body)
                 if isinstance(frame, Command):
                     self.commands.append(frame)
-                if self.hears(frame):
+                if self.receives(frame):
                     received += pack(body)
             now = round(self.drift * 1e6 * (time.monotonic() - self._start)) + self.shift
             for body in self._out.feed(self.device.step(received, now)):

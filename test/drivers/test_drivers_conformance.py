@@ -28,31 +28,31 @@ def test_our_own_pass_every_check(check, name):
 
 
 def test_a_stop_ends_the_check_with_the_safe_command(monkeypatch):
-    told = []
+    commanded = []
 
     class Noting(SimulatedActuator):
         name = 'noting'
         Parameters = SimulatedParameters
 
         def command(self, v, t):
-            told.append(v)
+            commanded.append(v)
             super().command(v, t)
 
         def safe(self, v, t):
-            told.append(('safe', v))
+            commanded.append(('safe', v))
             super().safe(v, t)
 
         def disable(self):
-            told.append('disabled')
+            commanded.append('disabled')
 
     monkeypatch.setitem(sys.modules, 'noting', SimpleNamespace(Here=Noting))
     c = Configuration.from_flat({'driver.name': 'noting:Here'})
-    results = check_contract(c, 0.1, True, lambda: 'e-stop pressed' if len(told) > 50 else '')
+    results = check_contract(c, 0.1, True, lambda: 'e-stop pressed' if len(commanded) > 50 else '')
     assert [next(results).name, next(results).name] == ['declaration', 'opens']
     with pytest.raises(DriverError, match=r'^e-stop pressed$'):
         next(results)
-    assert len(told) < 55
-    assert told[-3:] == [('safe', 0.0), 0.0, 'disabled']     # the base class sends it as command
+    assert len(commanded) < 55
+    assert commanded[-3:] == [('safe', 0.0), 0.0, 'disabled']     # a command, by the base class
 
 
 def test_an_observed_velocity_passes_too(check):
@@ -154,7 +154,7 @@ class IgnoresSafe(Broken):
 
 
 class SafeIsFault(Broken):
-    """A quick stop that says so and cannot be left."""
+    """A quick stop that reports it and cannot be left."""
 
     def safe(self, v, t):
         super().safe(v, t)
@@ -211,7 +211,7 @@ def test_the_wave_is_never_the_safe_command():
     assert min(values) == -1.0
 
 
-def test_without_an_amplitude_the_safe_command_is_not_told_from_the_last_one(check):
+def test_without_an_amplitude_the_safe_command_is_not_distinguished_from_the_last_one(check):
     found = check(IgnoresSafe, amplitude=0.0)
     assert found['safe command'].passed is None
     assert 'as small as the safe one' in found['safe command'].words

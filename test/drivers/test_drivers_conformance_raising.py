@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kit against drivers that raise, or tell nonsense, where they are only asked."""
+"""The kit against drivers that raise, or report nonsense, where they are only asked."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ class Broken(SimulatedActuator):
     Parameters = SimulatedParameters
 
 
-class CannotTell(Broken):
-    """Knows what it holds as long as nobody asks."""
+class CannotReport(Broken):
+    """Knows what it holds as long as it is not asked."""
 
     def applied_command(self):
         raise KeyError('demand')
 
 
-class TellsNonsense(Broken):
+class ReportsNonsense(Broken):
     def applied_command(self):
         return 'much'
 
@@ -47,9 +47,9 @@ class UnitsRaise(Broken):
 
 
 @pytest.mark.parametrize(('driver', 'failed', 'words'), [
-    (CannotTell, {'safe command', 'limit', 'stop and reset'},
+    (CannotReport, {'safe command', 'limit', 'stop and reset'},
      "applied_command: KeyError: 'demand'"),
-    (TellsNonsense, {'safe command', 'limit', 'stop and reset'},
+    (ReportsNonsense, {'safe command', 'limit', 'stop and reset'},
      "applied_command: 'much' is neither a finite number nor None"),
     (UnitsRaise, {'declaration'}, "the driver: KeyError: 'unit'"),
 ])

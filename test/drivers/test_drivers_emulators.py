@@ -49,7 +49,7 @@ def test_mistakes_are_named(text, words):
         Fault.parse(text, KNOWN)
 
 
-def test_a_fault_lasts_as_long_as_it_says():
+def test_a_fault_lasts_as_long_as_it_reports():
     fault = Fault('unplug', 1.0, 0.5)
     assert [fault.active(t) for t in (0.99, 1.0, 1.49, 1.5)] == [False, True, True, False]
 
@@ -81,14 +81,14 @@ def test_devices_that_are_not_there_are_one_line(words, text, capsys):
 
 @pytest.mark.parametrize('name', [name for name, found in EMULATORS.all().items()
                                   if not isinstance(found, Exception)])
-def test_every_emulator_says_what_it_is(name, capsys):
+def test_every_emulator_reports_what_it_is(name, capsys):
     kind = EMULATORS.load(name)
     assert issubclass(kind, Emulator)
     assert kind.name == name
     assert main(['driver', 'emulate', name, '--list']) == 0
-    said = capsys.readouterr().out
-    assert all(f'--fault {fault}@  {what}' in said for fault, what in kind.faults.items())
-    assert kind.summary in said
+    reported = capsys.readouterr().out
+    assert all(f'--fault {fault}@  {what}' in reported for fault, what in kind.faults.items())
+    assert kind.summary in reported
 
 
 def test_emulators_are_listed(capsys):
@@ -111,9 +111,9 @@ def test_emulators_are_listed(capsys):
 ])
 def test_mistakes_on_the_command_line(words, message, capsys):
     assert main(['driver', 'emulate', *words]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count('\n') == 1
+    reported = capsys.readouterr().err
+    assert message in reported
+    assert reported.count('\n') == 1
 
 
 def test_bytes_are_hit_as_often_as_asked_for():
@@ -130,7 +130,7 @@ def test_bytes_are_hit_as_often_as_asked_for():
 def test_a_port_keeps_its_name_through_being_unplugged(tmp_path):
     link = tmp_path / 'port'
     cable = Cable(str(link), 0)
-    cable.write(b'nobody is there')
+    cable.write(b'a peer is missing')
     assert cable.read() == b''
     for _ in range(2):
         cable.plug()
@@ -162,16 +162,16 @@ def test_what_is_no_link_is_never_replaced(tmp_path):
 def test_the_plant_behind_an_emulated_device_is_the_configured_one():
     configuration = Configuration.from_flat({'plant.model': 'servo', 'plant.x0': [0.1, 0.0]})
     device = EmulatedDevice([configuration], (1e-3, 1e-6, 1e-6), 30000)
-    device.step(b'', 10_000_000)        # however long nobody commands, it stands still
+    device.step(b'', 10_000_000)        # without commands it stands still
     assert device.measure() == ([[100000, 0]], [0])
     device.actuate((3000,))
     for k in range(1, 201):
         device.step(b'', 10_000_000 + 1000 * k)
-    twin = configuration.make_driver()
-    twin.command(3.0, 0.0)
+    simulated = configuration.make_driver()
+    simulated.command(3.0, 0.0)
     for k in range(1, 201):
-        twin.advance(1e-3 * k, 0)
-    expected = [value * 1e6 for value in twin.measure()]
+        simulated.advance(1e-3 * k, 0)
+    expected = [value * 1e6 for value in simulated.measure()]
     assert device.measure()[0][0] == pytest.approx(expected, abs=2)
     device.trip(4, None)
     assert device.measure()[1] == [4]
@@ -189,7 +189,7 @@ def test_an_emulator_ends_in_order_and_takes_its_port_away(processes, tmp_path, 
     assert 'Traceback' not in process.output
 
 
-def test_a_program_that_ends_is_said(processes, tmp_path):
+def test_a_program_that_ends_is_reported(processes, tmp_path):
     process = processes(*EMULATE, 'serial', 'servo', '-o', 'program=/bin/true')
     assert process.wait() == 2
     assert 'has ended (exit code 0)' in process.output.splitlines()[-1]
@@ -244,16 +244,16 @@ def test_axes_that_make_no_device_are_named(keys, options, message):
 def test_a_coupled_plant_moves_behind_the_motors_as_it_is_simulated():
     c = load_configuration('two_link_arm')
     device = EmulatedDevice(c.each, (1e-3, 1e-8, 1e-8), 10 ** 6)
-    twins = c.make_drivers()
+    simulated_each = c.make_drivers()
     device.step(b'', 0)
     device.actuate((20_000, -5_000))
-    for twin, v in zip(twins, (20.0, -5.0), strict=True):
-        twin.command(v, 0.0)
+    for simulated, v in zip(simulated_each, (20.0, -5.0), strict=True):
+        simulated.command(v, 0.0)
     for k in range(1, 101):
         device.step(b'', 1000 * k)
-        for twin in twins:
-            twin.advance(1e-3 * k, k)
-    expected = [[value * 1e8 for value in twin.measure()] for twin in twins]
+        for simulated in simulated_each:
+            simulated.advance(1e-3 * k, k)
+    expected = [[value * 1e8 for value in simulated.measure()] for simulated in simulated_each]
     for row, wanted in zip(device.measure()[0], expected, strict=True):
         assert row == pytest.approx(wanted, abs=2)
     assert abs(expected[0][1]) > 1e5

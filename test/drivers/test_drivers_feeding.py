@@ -110,7 +110,7 @@ def test_stopping_lets_the_last_order_out(device, feeder):
     assert feeder.exchanges == asked
 
 
-def test_a_device_that_holds_the_thread_is_left_behind_in_words(device):
+def test_a_device_that_holds_the_thread_is_left_behind_with_a_reason(device):
     feeder = Feeder(device, 0.005)
     feeder.start()
     assert device.asked.acquire(timeout=TIME_OUT)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The host's side of a driver: order of calls, limits, bad measurements, code that raises."""
+"""The host's side of a driver: order of calls, limits, bad measurements, code that raises.
+
+Over 300 lines: all of it uses one driver that writes down every call.
+"""
 
 from __future__ import annotations
 
@@ -21,15 +24,15 @@ from dz_ros.errors import ConfigurationError, DriverError, LoopError
 LIMIT = 5.0
 
 
-def told(name, with_values=False):
+def noted(name, with_values=False):
     """Return the method of a driver that writes down that it was called."""
     return lambda self, *values: self._call(name, *(values if with_values else ()))
 
 
-class Told(Driver):
-    """Writes down every call; does what the test says."""
+class Noting(Driver):
+    """Writes down every call; does what the test reports."""
 
-    name = 'told'
+    name = 'noting'
     summary = 'of this test'
     order = 2
     Parameters = NoParameters
@@ -47,21 +50,21 @@ class Told(Driver):
             raise answer
         return answer
 
-    attach, open, enable, disable, close, measure, recover, report = map(told, (
+    attach, open, enable, disable, close, measure, recover, report = map(noted, (
         'attach', 'open', 'enable', 'disable', 'close', 'measure', 'recover', 'report'))
-    command, safe = told('command', True), told('safe', True)
+    command, safe = noted('command', True), noted('safe', True)
 
     def fault(self):
         return self._call('fault') or ''
 
 
-class Positions(Told):
+class Positions(Noting):
     """Measures the position only."""
 
     measured = 1
 
 
-class Nothing(Told):
+class Nothing(Noting):
     """Measures nothing."""
 
     measured = 0
@@ -70,10 +73,10 @@ class Nothing(Told):
 @pytest.fixture
 def make(monkeypatch):
     """Return the function that hosts a class of this test."""
-    def hosted(driver=Told, **overrides):
-        monkeypatch.setitem(sys.modules, 'told_driver', SimpleNamespace(Here=driver))
+    def hosted(driver=Noting, **overrides):
+        monkeypatch.setitem(sys.modules, 'noting_driver', SimpleNamespace(Here=driver))
         return HostedDriver(Configuration.from_flat(
-            {'driver.name': 'told_driver:Here',
+            {'driver.name': 'noting_driver:Here',
              **{key.replace('__', '.'): value for key, value in overrides.items()}}))
     return hosted
 
@@ -89,7 +92,7 @@ def running(hosted):
     return hosted
 
 
-def test_life_is_called_in_order_and_each_end_once(make):
+def test_the_lifecycle_is_called_in_order_and_each_end_once(make):
     hosted = make()
     hosted.open(object())
     hosted.enable()
@@ -100,7 +103,7 @@ def test_life_is_called_in_order_and_each_end_once(make):
 
 
 @pytest.mark.parametrize('error', [DriverError('not there'), OSError('not there')])
-def test_a_device_that_does_not_open_is_closed_and_said(make, error):
+def test_a_device_that_does_not_open_is_closed_and_reported(make, error):
     hosted = make()
     hosted.driver.answers['open'] = error
     with pytest.raises(DriverError, match='not there'):
@@ -120,7 +123,7 @@ def test_a_device_that_refuses_is_disabled_again(make):
     assert hosted.close() == ''
 
 
-def test_letting_go_goes_on_after_a_failure_and_tells_it(make):
+def test_letting_go_goes_on_after_a_failure_and_reports_it(make):
     hosted = running(make())
     hosted.driver.answers['safe'] = OSError('bus off')
     hosted.driver.answers['close'] = DriverError('still busy')
@@ -196,12 +199,12 @@ def test_code_that_raises_is_a_fault_with_its_place_until_it_recovers(make, name
     assert hosted.recover() == ''
 
 
-class Forgetful(Told):
-    """Tells its limit, and what it measures, as the test says."""
+class Forgetful(Noting):
+    """Reports its limit, and what it measures, as the test reports."""
 
     limits: ClassVar = {'limit': LIMIT, 'measured': 2}
 
-    def _tell(self, name):
+    def _report(self, name):
         found = self.limits[name]
         if isinstance(found, Exception):
             raise found
@@ -209,18 +212,18 @@ class Forgetful(Told):
 
     @property
     def limit(self):
-        return self._tell('limit')
+        return self._report('limit')
 
     @property
     def measured(self):
-        return self._tell('measured')
+        return self._report('measured')
 
 
 @pytest.mark.parametrize(('limit', 'words'), [
     (OSError('gone'), 'limit: OSError: gone (test_drivers_hosted.py, line '),
     (DriverError('gone'), 'gone'), (math.nan, 'limit nan must be >= 0'), (-1.0, 'limit -1'),
     (None, 'limit: TypeError')])
-def test_a_limit_that_cannot_be_told_is_a_fault_and_only_safe_commands_go_out(
+def test_a_limit_that_cannot_be_reported_is_a_fault_and_only_safe_commands_go_out(
         make, monkeypatch, limit, words):
     hosted = running(make(Forgetful))
     assert hosted.command(7.0, 0.1) == LIMIT
@@ -233,7 +236,7 @@ def test_a_limit_that_cannot_be_told_is_a_fault_and_only_safe_commands_go_out(
         ('command', LIMIT, 0.1), ('safe', 0.0, 0.2), ('safe', 0.5, 0.3)]
     with pytest.raises(DriverError):
         _ = hosted.limit
-    assert hosted.disable(0.0, 1.0)     # says so, and has let go
+    assert hosted.disable(0.0, 1.0)     # reports it, and has let go
     assert names(hosted)[-2:] == ['safe', 'disable']
     monkeypatch.setitem(Forgetful.limits, 'limit', 2.0)
     hosted.enable()

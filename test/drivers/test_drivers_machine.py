@@ -40,7 +40,7 @@ def test_a_watch_that_has_ended_knows_of_no_stall():
 def test_a_thread_that_is_ready_waits_in_the_queue_and_one_that_sleeps_does_not():
     with RunQueue() as queue:
         if not queue.waited():
-            pytest.skip('this system does not say how long a thread waits for a core')
+            pytest.skip('this system does not report how long a thread waits for a core')
         before, begin = queue.waited(), time.monotonic()
         time.sleep(0.05)
         assert time.monotonic() - begin - (queue.waited() - before) > 0.049

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The mock's script: what it refuses, and that each fault is what it says, when it says."""
+"""The mock's script: what it refuses, and that each fault is what it reports, when it reports."""
 
 import math
 import time
@@ -63,7 +63,7 @@ def test_each_fault_of_a_measurement_comes_in_its_samples_only():
     assert found[10] == found[11] == found[12] == plain[9]
 
 
-def test_it_measures_as_many_as_it_is_told():
+def test_it_measures_as_many_as_it_is_faults():
     driver = mock(measures=1).make_driver()
     assert driver.measured == 1
     assert driver.measure() == (-2.5,)
@@ -83,11 +83,11 @@ def test_commands_are_lost_while_it_is_deaf():
 
 def test_a_fault_lasts_until_it_is_reset():
     driver = mock('2 fault hot').make_driver()
-    told = []
+    faults = []
     for k in range(6):
-        told.append(driver.fault())
+        faults.append(driver.fault())
         driver.advance((k + 1) * T, k)
-    assert told == ['', '', 'hot', 'hot', 'hot', 'hot']
+    assert faults == ['', '', 'hot', 'hot', 'hot', 'hot']
     driver.recover()
     assert driver.fault() == ''
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Several axes at one serial device: on a real port, before a device of the package that lies."""
+"""Several axes at one serial device: on a real port, before a device of the package that lies.
+
+Over 300 lines: all of it needs the same device of several motors.
+"""
 
 from dataclasses import replace
 import itertools
@@ -84,7 +87,7 @@ def machines(liars):
 
 
 def passed(liar, count=100):
-    """Return a condition: so many more commands have come."""
+    """Return a condition: this number of more commands have come."""
     goal = len(liar.commands) + count
     return lambda: len(liar.commands) >= goal
 

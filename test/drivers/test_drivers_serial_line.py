@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The serial driver on a port with nothing, or somebody else, behind it."""
+"""The serial driver on a port with nothing, or another device, behind it."""
 
 import itertools
 import threading
@@ -52,13 +52,13 @@ def test_no_port_is_named(tmp_path, opening):
         opening(tmp_path / 'none')
 
 
-def test_no_device_is_said_with_the_speed_of_the_line(fake, opening):
+def test_no_device_is_reported_with_the_speed_of_the_line(fake, opening):
     with pytest.raises(DriverError, match=r'nothing that speaks the protocol answers within 0\.5 '
                                           's at 115200 baud'):
         opening(fake().port, baudrate=115200, device_rate=200)
 
 
-def test_a_port_in_use_is_said(fake, make, opening):
+def test_a_port_in_use_is_reported(fake, make, opening):
     port = fake(polite).port
     first = make(port)
     first.open()
@@ -69,13 +69,13 @@ def test_a_port_in_use_is_said(fake, make, opening):
         first.close()
 
 
-def test_another_version_is_said(fake, opening):
+def test_another_version_is_reported(fake, opening):
     answer = fake(lambda frame: [pack(b'\x03' + Hello(1, 1).body()[1:])])
     with pytest.raises(DriverError, match='speaks version 3 of the protocol, not 1 or 2'):
         opening(answer.port)
 
 
-def test_a_device_that_measures_too_little_is_said(fake, opening):
+def test_a_device_that_measures_too_little_is_reported(fake, opening):
     port = fake(lambda frame: polite(frame, values=(1,))).port
     with pytest.raises(DriverError, match="'fake' measures 1 of the 2 values wanted: set "
                                           r'driver\.measured to 1'):
@@ -87,7 +87,7 @@ def test_a_device_that_measures_too_little_is_said(fake, opening):
     (Mode.FAULT, 'does not leave its fault: the device reports fault 5'),
     (Mode.ESTOP, 'e-stop of the device is latched: release it, then reset'),
 ])
-def test_a_device_that_takes_no_power_is_said(fake, mode, words, opening):
+def test_a_device_that_takes_no_power_is_reported(fake, mode, words, opening):
     with pytest.raises(DriverError, match=words):
         opening(fake(lambda frame: polite(frame, mode=mode,
                                           fault=5 * (mode is Mode.FAULT))).port)
@@ -100,12 +100,12 @@ def test_an_e_stop_is_lifted_by_a_reset_alone(fake, make):
     try:
         with pytest.raises(DriverError, match='e-stop'):
             driver.enable()
-        assert not [frame for frame in there.heard if isinstance(frame, Command)]
+        assert not [frame for frame in there.received if isinstance(frame, Command)]
         with pytest.raises(DriverError, match='does not leave its fault'):
             driver.recover()
     finally:
         driver.close()
-    commands = {frame.request for frame in there.heard if isinstance(frame, Command)}
+    commands = {frame.request for frame in there.received if isinstance(frame, Command)}
     assert commands == {Request.RESET}      # and no power without having had it
 
 
@@ -117,7 +117,7 @@ def test_another_device_after_a_reconnection_is_not_taken(fake, make, until):
     try:
         driver.enable()
         limit[0] = 2000
-        # It says nothing by itself, so it is greeted anew.
+        # It reports nothing by itself, so it is greeted again.
         until(lambda: 'another device answers' in driver.fault())
         with pytest.raises(DriverError, match="another device answers: 'fake'"):
             driver.recover()
@@ -125,7 +125,7 @@ def test_another_device_after_a_reconnection_is_not_taken(fake, make, until):
         driver.close()
 
 
-def test_nobody_waits_for_a_line_that_takes_nothing(fake, make, until):
+def test_nothing_waits_for_a_line_that_takes_nothing(fake, make, until):
     there = fake(lambda frame: polite(frame, mode=Mode.SAFE))
     driver = make(there.port, silence=300.0)
     driver.open()
@@ -149,10 +149,10 @@ def test_the_newest_command_is_the_one_that_is_sent(fake, make, until):
     driver.enable()
     for k in range(500):
         driver.command(float(k), 0.0)
-    until(lambda: there.heard[-1].v == (499,))
+    until(lambda: there.received[-1].v == (499,))
     driver.disable()
     driver.close()
-    commands = [frame for frame in there.heard if isinstance(frame, Command)]
+    commands = [frame for frame in there.received if isinstance(frame, Command)]
     seqs = [frame.seq for frame in commands]
     assert seqs == sorted(set(seqs))
     assert {frame.hold_ms for frame in commands} == {15}    # safety.command_hold, 3 samples
@@ -196,11 +196,11 @@ def test_a_command_wished_before_the_line_broke_moves_nothing_after_it(fake, mak
         driver.command(5.0, 0.0)
         driver.link._break('the line has gone')
     until(lambda: driver.link.newest() is not None)
-    before = there.heard[-1].session
-    until(lambda: isinstance(there.heard[-1], Command), driver, 5.0)
+    before = there.received[-1].session
+    until(lambda: isinstance(there.received[-1], Command), driver, 5.0)
     driver.close()
     assert driver.fault() == 'the line has gone'
-    assert before == there.heard[-1].session
-    # That is a session nobody has given power in.
-    assert {frame.request for frame in there.heard if isinstance(frame, Command)
+    assert before == there.received[-1].session
+    # That is a session without power.
+    assert {frame.request for frame in there.received if isinstance(frame, Command)
             and frame.session == before} == {Request.DISABLE}

@@ -32,7 +32,7 @@ MOTORS = st.integers(1, MAX_MOTORS)
 
 
 def rows(item, count):
-    """Return what gives an item for each of so many motors."""
+    """Return what gives an item for each of this number of motors."""
     return st.tuples(*[item] * count)
 
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The states of a device: the serial driver on a real port before a device that lies."""
+"""The states of a device: the serial driver on a real port before a device that lies.
+
+Over 300 lines: a table of states that lie, and the honest ones beside them.
+"""
 
 from dataclasses import replace
 import itertools
@@ -60,7 +63,7 @@ def recovered(driver):
 
 
 def passed(liar, count=100):
-    """Return a condition: so many more commands have come."""
+    """Return a condition: this number of more commands have come."""
     goal = len(liar.commands) + count
     return lambda: len(liar.commands) >= goal
 
@@ -97,7 +100,7 @@ def replaying():
     return change
 
 
-def once_more():
+def rewound():
     """Return a change by which seq begins at 1 again."""
     first = []
 
@@ -124,7 +127,7 @@ LIES = {
     'one frame for ever': (repeating, 'the device repeats its last state'),
     'the same frames in a loop': (replaying, 'the device sends older states again'),
     'seq stands still': (lambda: held('seq'), 'the device repeats its last state'),
-    'counters begin again': (once_more, 'the device sends older states again'),
+    'counters begin again': (rewound, 'the device sends older states again'),
     'the clock stands still': (lambda: held('time_us'), "the device's clock stands still"),
     'the clock goes back': (lambda: lambda s: [replace(s, time_us=(s.time_us - 10 ** 7)
                                                        % 2 ** 32)],
@@ -137,7 +140,7 @@ LIES = {
                      'is in mode safe, asked for run'),
     'no power': (lambda: lambda s: [replace(s, mode=Mode.DISABLED)],
                  'is in mode disabled, asked for run'),
-    'a trip that nobody saw': (lambda: lambda s: [replace(s, trips=(s.trips + 1) % 256)],
+    'a trip between two states': (lambda: lambda s: [replace(s, trips=(s.trips + 1) % 256)],
                                'has tripped'),
     'a fault without its mode': (lambda: lambda s: [replace(s, faults=(9,))],
                                  'reports fault 9 in mode run'),
@@ -185,7 +188,7 @@ def test_a_state_that_is_repeated_is_no_measurement_long_before_the_device_is_gi
 
 def test_a_device_that_falls_silent_has_not_refused_the_command_on_its_way(liar, running, until):
     driver = running(silence=3.0)
-    liar.hears = lambda frame: False
+    liar.receives = lambda frame: False
     until(passed(liar, 3), driver, V)       # none of which any state will answer
     liar.change = lambda state: []
     until(driver.fault, driver, V)
@@ -213,7 +216,7 @@ def honest(liar, name, link):
         liar.change = change
     elif name == 'every tenth command lost':
         number = itertools.count()
-        liar.hears = lambda frame: isinstance(frame, Hello) or next(number) % 10 != 0
+        liar.receives = lambda frame: isinstance(frame, Hello) or next(number) % 10 != 0
     elif name == 'a clock 5 % too fast':
         liar.drift = 1.05
     elif name == 'a clock 5 % too slow':
@@ -260,12 +263,12 @@ def test_a_request_to_stop_is_repeated_until_it_is_taken(liar, running, until):
     driver = running(watchdog=1.0, silence=30.0)
     lost = []
 
-    def hears(frame):
+    def receives(frame):
         if isinstance(frame, Command) and frame.request is Request.SAFE and len(lost) < 3:
             lost.append(frame)
             return False
         return True
-    liar.hears = hears
+    liar.receives = receives
     driver.safe(0.0, 0.0)       # once
     until(lambda: liar.device.mode is Mode.SAFE)
     assert len(lost) == 3
@@ -303,7 +306,7 @@ def test_no_session_but_the_operators_gives_power(liar, running, until):
     assert liar.device.mode is Mode.SAFE
 
 
-def test_a_device_is_not_measured_before_it_has_said_what_it_is(liar, running, until):
+def test_a_device_is_not_measured_before_it_has_reported_what_it_is(liar, running, until):
     driver = running(silence=0.3)
     liar.info = False
     liar.restart()
@@ -317,7 +320,7 @@ def test_a_device_is_not_measured_before_it_has_said_what_it_is(liar, running, u
     until(lambda: recovered(driver))
 
 
-def test_another_device_of_the_same_kind_is_told_by_its_name(liar, running, until):
+def test_another_device_of_the_same_kind_is_recognized_by_its_name(liar, running, until):
     driver = running(silence=0.3)
     liar.name = 'bench 2'
     liar.restart()

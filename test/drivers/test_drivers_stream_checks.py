@@ -99,7 +99,7 @@ def test_many_missing_samples_are_found():
 
 
 def held_back(trip):
-    """Return the latency of a node that tells `trip(own)` where its answer took `own` [s]."""
+    """Return the latency of a node that reports `trip(own)` where its answer took `own` [s]."""
     states, arrivals, commands = stream()
     taken = {k: 0.0025 if k % 10 == 0 else 0.0002 for k in commands}
     states = [item._replace(round_trip=trip(taken.get(item.echo_seq, 0.0))) for item in states]

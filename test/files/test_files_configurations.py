@@ -1,4 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Configurations in files: found, read as YAML 1.2, written, refused with key and line.
+
+Over 300 lines: a file of each kind of mistake is in the text of its test.
+"""
+
 import math
 import os
 from pathlib import Path
@@ -80,7 +85,7 @@ controller_node: {ros__parameters: {controller: {lambda: 2}, qos_overrides: {x: 
     ('/**: {ros__parameters: {plant: {b: 1}}}\nplant: {b: 2}\n', 'beside ros__parameters'),
     ('a: &x {b: 1}\nc: *x\n', 'aliases'),
 ])
-def test_a_file_that_cannot_be_used_is_one_line_that_says_where(tmp_path, text, part):
+def test_a_file_that_cannot_be_used_is_one_line_that_reports_where(tmp_path, text, part):
     assert part in message(flat_parameters, write(tmp_path / 'c.yaml', text))
 
 
@@ -93,7 +98,7 @@ def test_a_file_that_cannot_be_used_is_one_line_that_says_where(tmp_path, text, 
     ('loop: {rate: 200 Hz}', "loop.rate = '200 Hz': must be a finite number"),
     ('1: {b: 1}', 'unknown key'),
 ])
-def test_what_a_file_says_is_checked(tmp_path, text, part):
+def test_what_a_file_reports_is_checked(tmp_path, text, part):
     assert part in message(load_configuration, write(tmp_path / 'c.yaml', text))
 
 
@@ -162,7 +167,7 @@ def test_the_last_override_counts_and_stands_above_the_file(tmp_path):
     'controller.theta_0=[1, 2, 3]', 'plant.x0={a: }',
 ])
 def test_overrides_that_cannot_be_used(override):
-    if override == 'plant={}':      # nothing is said, so nothing is wrong
+    if override == 'plant={}':      # nothing is reported, so nothing is wrong
         assert flat_parameters(None, [override]) == {}
     else:
         assert message(load_configuration, None, [override])

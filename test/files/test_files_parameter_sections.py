@@ -26,7 +26,7 @@ def written(names, nested):
     """Return a parameter file with a section for each name, nested at its first / or not."""
     content = {}
     for number, (name, deep) in enumerate(zip(names, nested, strict=True)):
-        parameters = {'ros__parameters': {'who': number, f's{number}': 1}}
+        parameters = {'ros__parameters': {'own': number, f's{number}': 1}}
         first, slash, rest = name.rpartition('/')
         if deep and first and slash:
             inner = content.setdefault(first, {})

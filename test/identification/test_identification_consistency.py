@@ -38,7 +38,7 @@ def changed(run, column, function, channel='state'):
 
 
 def without(run, share, channel='state', burst=1):
-    """Return a run with a share of a channel's messages lost, so many in a row."""
+    """Return a run with a share of a channel's messages lost, this number of in a row."""
     old = run.channels[channel]
     count = len(old)
     keep = np.ones(count, dtype=bool)
@@ -61,7 +61,7 @@ def test_a_run_that_agrees_with_itself_is_not_refused(loop):
             assert item.low <= truth <= item.high
 
 
-@pytest.mark.parametrize(('column', 'change', 'said'), [
+@pytest.mark.parametrize(('column', 'change', 'reported'), [
     (V, lambda v: v * np.nan, r'x1 \[rad/s\] is not a number in any sample; without a measurement '
      r'of it set driver.measured to 1'),
     (V, lambda v: v + np.inf, 'x1 .* is not a number in any sample'),
@@ -84,24 +84,24 @@ def test_a_run_that_agrees_with_itself_is_not_refused(loop):
     (V, lambda v: np.random.default_rng(0).normal(size=len(v)), 'x1 .* is not the rate of x0'),
     (X, lambda x: (x + 1.0) % 2.0 - 1.0, 'x1 .* is not the rate of x0'),
 ], ids=lambda item: item if isinstance(item, str) else None)
-def test_states_that_contradict_each_other_are_named(loop, column, change, said):
+def test_states_that_contradict_each_other_are_named(loop, column, change, reported):
     c, run = loop
-    with pytest.raises(RecordingError, match=said) as caught:
+    with pytest.raises(RecordingError, match=reported) as caught:
         found(c, changed(run, column, change))
     assert '\n' not in str(caught.value)
-    with pytest.raises(RecordingError, match=said):
+    with pytest.raises(RecordingError, match=reported):
         fit_log(changed(run, column, change), c)
 
 
-@pytest.mark.parametrize(('change', 'said'), [
+@pytest.mark.parametrize(('change', 'reported'), [
     (lambda v: -v, 'accelerates against the command'),
     (lambda v: v * np.nan, 'the command is not a number in 100%'),
     (lambda v: np.where(np.arange(len(v)) % 10, v, np.nan), 'the command is not a number in 10%'),
     (lambda v: 0.0 * v, 'the command is 0 in every sample'),
     (np.abs, 'the command has one sign only')], ids=['sign', 'nan', 'some nan', 'none', 'size'])
-def test_commands_that_contradict_the_motion_are_named(loop, change, said):
+def test_commands_that_contradict_the_motion_are_named(loop, change, reported):
     c, run = loop
-    with pytest.raises(RecordingError, match=said):
+    with pytest.raises(RecordingError, match=reported):
         found(c, changed(run, 2, change, 'command'))
 
 

@@ -21,25 +21,25 @@ LIMITS = Limits(1.5, 1.0, 4.0)
 
 
 class Watched(SimulatedActuator):
-    """A simulated actuator that remembers what it was told."""
+    """A simulated actuator that remembers what it was commanded."""
 
     def __init__(self, parameters, configuration):
         super().__init__(parameters, configuration)
-        self.told = []
+        self.commanded = []
 
     def command(self, v, t):
-        self.told.append(v)
+        self.commanded.append(v)
         super().command(v, t)
 
     def safe(self, v, t):
-        self.told.append(('safe', v))
+        self.commanded.append(('safe', v))
         super().command(v, t)
 
     def disable(self):
-        self.told.append('disabled')
+        self.commanded.append('disabled')
 
     def close(self):
-        self.told.append('closed')
+        self.commanded.append('closed')
 
 
 def session(flat, limits=LIMITS, plan=None, stopped=lambda: '', driver=Watched,
@@ -69,7 +69,7 @@ def test_it_moves_both_ways_within_its_limits_and_ends_near_home():
     sides = [math.copysign(1.0, v) for _, v in experiment.breakaway]
     assert sides.count(1.0) == sides.count(-1.0) == 6
     assert samples.v[-5:].tolist() == [0.0] * 5
-    assert driver.told[-3:] == [('safe', 0.0), 'disabled', 'closed']
+    assert driver.commanded[-3:] == [('safe', 0.0), 'disabled', 'closed']
 
 
 def test_the_same_seed_moves_the_same_and_another_does_not():
@@ -87,9 +87,9 @@ def test_whatever_the_device_is_the_command_is_limited_and_the_last_one_is_safe(
     driver, experiment, found = session(
         {'plant.coulomb_friction': friction, 'loop.delay': delay}, limits,
         Plan(repeats=4, ramp=1.0))
-    commands = [item for item in driver.told if isinstance(item, float)]
+    commands = [item for item in driver.commanded if isinstance(item, float)]
     assert max(map(abs, commands)) <= effort
-    assert driver.told[-3:] == [('safe', 0.0), 'disabled', 'closed']
+    assert driver.commanded[-3:] == [('safe', 0.0), 'disabled', 'closed']
     if not isinstance(found, Exception):
         assert len(experiment.breaches) <= BREACHES
 
@@ -101,13 +101,13 @@ class Learns(Watched):
 
     @property
     def limit(self):
-        if not self.told:
+        if not self.commanded:
             return math.inf
-        return self.first if len(self.told) < 400 else self.later
+        return self.first if len(self.commanded) < 400 else self.later
 
     def open(self):
         super().open()
-        self.told.append('opened')
+        self.commanded.append('opened')
 
 
 def test_a_device_that_takes_less_than_it_is_to_do_is_not_moved():
@@ -116,7 +116,7 @@ def test_a_device_that_takes_less_than_it_is_to_do_is_not_moved():
 
     driver, _, error = session({}, driver=Weak)
     assert str(error).endswith('takes |v| up to 2.5, effort = 4 is more')
-    assert driver.told == ['opened', 'closed']
+    assert driver.commanded == ['opened', 'closed']
 
 
 def test_what_is_written_down_is_what_the_device_was_given():
@@ -125,7 +125,7 @@ def test_what_is_written_down_is_what_the_device_was_given():
 
     driver, _, found = session({}, Limits(1.5, 1.0, 4.0), driver=Weaker)
     assert not isinstance(found, Exception), found
-    commands = [item for item in driver.told if isinstance(item, float)]
+    commands = [item for item in driver.commanded if isinstance(item, float)]
     assert commands == found.v.tolist()
     assert np.abs(found.v).max() == 2.0
 
@@ -139,7 +139,7 @@ def test_a_limit_that_is_passed_stops_it_and_it_goes_back():
     after = samples.v[beyond[-1] + 1:beyond[-1] + 10]
     assert not after.any()
     assert not isinstance(samples, Exception)
-    assert driver.told[-1] == 'closed'
+    assert driver.commanded[-1] == 'closed'
 
 
 def test_it_gives_up_where_limits_are_passed_again_and_again():
@@ -208,30 +208,30 @@ def test_a_device_that_missed_its_host_is_reset_and_the_move_made_again():
     assert driver.resets == 1
     assert not isinstance(samples, DriverError)
     assert experiment.stalls == pytest.approx([0.3, 0.05])
-    assert ('safe', 0.0) not in driver.told[:100]
+    assert ('safe', 0.0) not in driver.commanded[:100]
 
 
 def test_a_fault_without_a_stall_ends_it():
     class Broken(Watched):
         def fault(self):
-            return 'overheated' if len(self.told) > 900 else ''
+            return 'overheated' if len(self.commanded) > 900 else ''
 
     driver, _, error = session({}, driver=Broken)
     assert str(error) == 'overheated'
-    assert driver.told[-3:] == [('safe', 0.0), 'disabled', 'closed']
+    assert driver.commanded[-3:] == [('safe', 0.0), 'disabled', 'closed']
 
 
-@pytest.mark.parametrize(('flat', 'said'), [
+@pytest.mark.parametrize(('flat', 'reported'), [
     ({'plant.torque_constant': 1e-3}, 'no motion right up to |v| = 4'),
     ({'plant.noise': [1e-3, 2.0]}, 'hides motion'),
     ({'plant.model': 'wang2004', 'plant.x0': [1.0, 0.0]}, 'does not rest'),
     ({'plant.noise': [0.0, 0.0], 'plant.x0': [0.0, 0.9]}, 'does not rest'),
 ])
-def test_a_device_that_cannot_be_moved_so_is_told(flat, said):
+def test_a_device_that_cannot_be_moved_so_is_commanded(flat, reported):
     driver, _, error = session(flat)
     assert isinstance(error, DriverError)
-    assert said in str(error)
-    assert driver.told[-3:] == [('safe', 0.0), 'disabled', 'closed']
+    assert reported in str(error)
+    assert driver.commanded[-3:] == [('safe', 0.0), 'disabled', 'closed']
 
 
 class Reversed(Watched):
@@ -244,32 +244,32 @@ class Reversed(Watched):
 def test_swapped_wires_are_noticed_on_the_first_ramp():
     driver, _, error = session({}, driver=Reversed)
     assert 'against the command' in str(error)
-    assert max(abs(item) for item in driver.told if isinstance(item, float)) < 4.0
+    assert max(abs(item) for item in driver.commanded if isinstance(item, float)) < 4.0
 
 
 class Dying(Watched):
     """Its measurement stays away from sample 500 on."""
 
     def measure(self):
-        return super().measure() if len(self.told) < 500 else None
+        return super().measure() if len(self.commanded) < 500 else None
 
 
 def test_a_measurement_that_stays_away_ends_it():
     driver, _, error = session({}, driver=Dying)
     assert str(error) == 'no measurement for 3 samples'
-    assert driver.told[-3:] == [('safe', 0.0), 'disabled', 'closed']
+    assert driver.commanded[-3:] == [('safe', 0.0), 'disabled', 'closed']
 
 
 def test_a_measurement_that_is_missing_once_is_a_hole():
     class Blinking(Watched):
         def measure(self):
-            return None if len(self.told) in (700, 1100) else super().measure()
+            return None if len(self.commanded) in (700, 1100) else super().measure()
 
     _, _, samples = session({}, driver=Blinking)
     assert np.flatnonzero(np.isnan(samples.x[:, 0])).tolist() == [700, 1100]
 
 
-def test_who_stops_it_gets_the_safe_command_in_the_same_sample():
+def test_a_stop_gives_the_safe_command_in_the_same_sample():
     asked = []
 
     def stopped():
@@ -279,11 +279,11 @@ def test_who_stops_it_gets_the_safe_command_in_the_same_sample():
     driver, _, error = session({}, stopped=stopped)
     assert isinstance(error, StoppedError)
     assert str(error) == 'e-stop pressed'
-    assert len([item for item in driver.told if isinstance(item, float)]) == 799
-    assert driver.told[799:] == [('safe', 0.0)] * 2 + ['disabled', 'closed']
+    assert len([item for item in driver.commanded if isinstance(item, float)]) == 799
+    assert driver.commanded[799:] == [('safe', 0.0)] * 2 + ['disabled', 'closed']
 
 
 def test_a_safe_command_of_its_own_is_what_rests():
     driver, _, samples = session({'safety.safe_command': 0.1})
     assert samples.v[0] == 0.1
-    assert ('safe', 0.1) in driver.told
+    assert ('safe', 0.1) in driver.commanded

@@ -32,7 +32,7 @@ def truth(c):
 
 
 @pytest.mark.slow
-def test_confidence_intervals_hold_the_truth_as_often_as_they_say():
+def test_confidence_intervals_hold_the_truth_as_often_as_they_report():
     """Six parameters, four noises: of 24 intervals of 95 % at least 20 (fewer: 0.6 %)."""
     inside = 0
     for seed in range(4):
@@ -62,7 +62,7 @@ def test_every_model_without_noise_is_exact(model):
     assert fit['b·m_l'].seen
 
 
-def test_delay_limit_and_round_trip_say_when_a_command_acts():
+def test_delay_limit_and_round_trip_report_when_a_command_acts():
     c = configured(**{'loop.delay': 2, 'plant.command_limit': 8.0, 'plant.noise': [0.0]})
     done = simulate(c)
     times, commands = arrivals(from_run(done), c, c.loop.delay)

@@ -146,7 +146,7 @@ def test_a_break_point_on_the_wrong_side_is_refused(name, sign):
     assert right.low < right.high
 
 
-def test_what_the_motion_does_not_tell_is_said():
+def test_what_the_motion_does_not_show_is_reported():
     c, samples, margin = moved(SERVO, Limits(1.5, 1.0, 4.0))
     right = dataclasses.replace(samples, v=np.abs(samples.v))
     with pytest.raises(RecordingError, match='one sign only'):
@@ -165,7 +165,7 @@ def test_what_the_motion_does_not_tell_is_said():
 
 # From runs, and to configurations.
 
-def test_an_experiment_written_as_a_run_tells_the_same():
+def test_an_experiment_written_as_a_run_reports_the_same():
     c, samples, margin = moved({**SERVO, 'plant.noise': [1e-3, 1e-2]}, Limits(1.5, 1.0, 4.0))
     again = from_run(to_run(samples, c, 10 ** 18), c)
     assert np.array_equal(again.x, samples.x)

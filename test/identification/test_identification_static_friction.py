@@ -39,7 +39,7 @@ def test_names_static_friction(level):
         assert (edge + level) / (edge + 1.0) <= ratio < (edge + level) / (edge + 1.0) + 0.3
 
 
-def test_says_nothing_of_a_plant_without_friction_or_a_side_without_ramps():
+def test_reports_nothing_of_a_plant_without_friction_or_a_side_without_ramps():
     c, found, begun = identified()
     assert excess(found, [v for v in begun if v > 0.0], c) is None
     assert excess(found, begun, Configuration.from_flat({})) is None

@@ -42,11 +42,11 @@ class Puppet(Source):
     def stops(self):
         return len(self.stopped)
 
-    def estop(self, who):
-        self.stopped.append(who)
+    def estop(self, viewer):
+        self.stopped.append(viewer)
         return {'message': 'stopped'}
 
-    async def act(self, who, request, stops):
+    async def act(self, viewer, request, stops):
         self.still(stops)
         self.acted.append(request)
         if request['do'] == 'disturbance_pulse':

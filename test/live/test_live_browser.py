@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a running loop in a real browser."""
+"""The page of a running loop in a real browser.
+
+Over 300 lines: one browser and one running loop for all.
+"""
 
 import json
 import os
@@ -57,7 +60,7 @@ def command(pid):
     return Path(f'/proc/{pid}/cmdline').read_text()
 
 
-def test_the_page_asks_nobody_else_and_its_curves_move(open_page, loop):
+def test_the_page_asks_no_other_server_and_its_curves_move(open_page, loop):
     address, _, _ = loop
     page = open_page(address)
     wait_live(page)
@@ -81,8 +84,8 @@ def test_the_page_asks_nobody_else_and_its_curves_move(open_page, loop):
 
 
 PRESSES, QUICK = 6, 3
-"""Of so many presses so many must have the actuator safe within three samples, and each within 30:
-on a machine that is busy with other tests a press may find nobody running."""
+"""Presses, and how many must have the actuator safe within three samples, each within 30:
+on a machine that is busy with other tests a press may find no loop running."""
 
 
 @pytest.mark.parametrize('how', ['click', 'key'])
@@ -122,7 +125,7 @@ def test_an_estop_in_the_page_has_the_actuator_safe_within_three_samples(open_pa
     for pressed in presses:
         first = np.flatnonzero(state.publish_time * 1e-9 > pressed)[0]
         at_press = int(state['seq'][first]) - 1
-        # truth says of each sample what the actuator got at its end; safe means 0, and stays 0
+        # truth reports of each sample what the actuator got at its end; safe means 0, and stays 0
         after = (truth['seq'] >= at_press) & (truth['seq'] < at_press + 40)
         moving = truth['seq'][after & (truth['w'] != 0.0)]
         took.append(int(moving.max(initial=at_press) - at_press))
@@ -130,7 +133,7 @@ def test_an_estop_in_the_page_has_the_actuator_safe_within_three_samples(open_pa
     assert max(took) < 30, took
 
 
-def test_a_refused_gain_says_why_and_an_accepted_one_is_recorded(open_page, loop):
+def test_a_refused_gain_reports_why_and_an_accepted_one_is_recorded(open_page, loop):
     address, process, run = loop
     page = open_page(address)
     wait_live(page)

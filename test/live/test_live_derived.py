@@ -131,11 +131,11 @@ def test_a_run_of_many_events_is_introduced_in_few_texts():
         {'node': '/plant_node', 'event': 'mode', 'mode': 'lost'})) for number in range(3000))
     odd = ((10 ** 18, '', 'no JSON'), (10 ** 18, '', '[1]'), (10 ** 18, '', '{"event": 7}'))
     recorded = Recorded({'run': replace(run, events=events + odd)})
-    said = recorded.now()
-    assert len(said) == 1
-    assert len(said[0]['events']) == 3000    # what is no event is left out
-    assert max(item['stamp'] for item in said[0]['events']) < 1e-5
-    assert json.dumps([recorded.hello(), *said], allow_nan=False)
+    reported = recorded.now()
+    assert len(reported) == 1
+    assert len(reported[0]['events']) == 3000    # what is no event is left out
+    assert max(item['stamp'] for item in reported[0]['events']) < 1e-5
+    assert json.dumps([recorded.hello(), *reported], allow_nan=False)
 
 
 def test_a_long_run_is_thinned_without_losing_a_peak(monkeypatch):

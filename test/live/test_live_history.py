@@ -20,25 +20,25 @@ def rows_of(frame, width):
 @given(st.integers(1, 50), BATCHES)
 def test_the_last_rows_are_kept_in_order(capacity, sizes):
     history = History(2, capacity)
-    said = []
+    reported = []
     for size in sizes:
-        batch = np.arange(len(said), len(said) + size, dtype=float)
+        batch = np.arange(len(reported), len(reported) + size, dtype=float)
         history.append(np.column_stack([batch, -batch]))
-        said += batch.tolist()
-        assert history.head == len(said)
-        assert len(history) == min(len(said), capacity)
+        reported += batch.tolist()
+        assert history.head == len(reported)
+        assert len(history) == min(len(reported), capacity)
     kept = history.rows(0, history.head)
-    assert kept[:, 0].tolist() == said[-capacity:][:len(kept)] if said else len(kept) == 0
+    assert kept[:, 0].tolist() == reported[-capacity:][:len(kept)] if reported else len(kept) == 0
     assert np.array_equal(kept[:, 1], -kept[:, 0])
 
 
 @given(st.integers(1, 60), BATCHES, st.integers(1, 5))
 def test_a_viewer_that_keeps_up_gets_every_row_once(capacity, sizes, every):
     history = History(1, capacity)
-    cursor, got, said = 0, [], 0
+    cursor, got, reported = 0, [], 0
     for turn, size in enumerate(sizes):
-        history.append(np.arange(said, said + size, dtype=float)[:, None])
-        said += size
+        history.append(np.arange(reported, reported + size, dtype=float)[:, None])
+        reported += size
         if turn % every == 0:
             behind = history.head - cursor
             while cursor < history.head:
@@ -47,7 +47,7 @@ def test_a_viewer_that_keeps_up_gets_every_row_once(capacity, sizes, every):
                 assert (kind, number, run, now) == (LIVE, 0, 0, 1.5)
                 got += rows[:, 0].tolist()
             if behind <= capacity:
-                assert got[len(got) - behind:] == list(range(said - behind, said))
+                assert got[len(got) - behind:] == list(range(reported - behind, reported))
     assert got == sorted(set(got))
 
 
@@ -86,7 +86,7 @@ def test_memory_is_taken_at_once():
     assert len(history) == 1000
 
 
-def test_an_answer_says_what_it_answers():
+def test_an_answer_reports_what_it_answers():
     frame = pack(ANSWER, 77, np.array([[1.0, np.nan]]), 1, 2.5)
     kind, number, run, now, rows = rows_of(frame, 2)
     assert (kind, number, run, now) == (ANSWER, 77, 1, 2.5)

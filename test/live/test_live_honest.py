@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the page says when its server hangs, is slow or has nothing: in a real browser, no loop."""
+"""What the page shows when its server hangs, is slow or has nothing: a real browser, no loop."""
 
 import asyncio
 import threading
@@ -99,11 +99,11 @@ class Fine(Source):
     def stops(self):
         return len(self.stopped)
 
-    def estop(self, who):
-        self.stopped.append(who)
+    def estop(self, viewer):
+        self.stopped.append(viewer)
         return {'message': 'stopped'}
 
-    async def act(self, _who, request, stops):
+    async def act(self, _viewer, request, stops):
         self.still(stops)
         self.acted.append(request)
         return {'message': 'done'}
@@ -143,7 +143,7 @@ def live(page):
     page.until(f'{BUTTONS}.every((button) => !button.disabled)')
 
 
-def test_an_estop_that_is_not_answered_says_so_and_is_asked_again(open_page, loopless):
+def test_an_estop_that_is_not_answered_reports_it_and_is_asked_again(open_page, loopless):
     page = open_page(loopless.address)
     live(page)
     loopless.freeze()

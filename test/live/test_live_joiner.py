@@ -59,7 +59,7 @@ def test_units_follow_the_plant():
 
 def test_a_row_comes_when_it_is_whole_and_not_before():
     joiner = Joiner(LAYOUT)
-    for topic in NAMES:     # each topic has been heard once, so that it is waited for
+    for topic in NAMES:     # each topic has been received once, so that it is waited for
         put(joiner, topic, 0)
     assert len(joiner.take(0.0)) == 1
     put(joiner, 'state', 1, 3.0)
@@ -108,7 +108,7 @@ def test_gaps_are_counted_and_a_new_start_is_noticed():
     for seq in (0, 1, 5):
         put(joiner, 'state', seq)
     assert (joiner.lost, joiner.newest, joiner.restarted) == (3, 5, False)
-    put(joiner, 'state', 5)         # repeated while nobody answers
+    put(joiner, 'state', 5)         # repeated without an answer
     assert not joiner.restarted
     put(joiner, 'state', 0)
     assert joiner.restarted
@@ -150,7 +150,7 @@ def test_a_first_state_of_nonsense_is_found_out():
     assert joiner.restarted
 
 
-def test_a_long_pause_is_believed_when_a_second_state_says_so():
+def test_a_long_pause_is_believed_when_a_second_state_reports_it():
     joiner = Joiner(LAYOUT)
     for seq in (0, 1, 100000, 100001, 100002):
         put(joiner, 'state', seq)

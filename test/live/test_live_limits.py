@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What nonsense, floods and silence do to the page's server: nothing but to whoever sends them."""
+"""What nonsense, floods and silence do to the page's server: they harm their sender alone.
+
+Over 300 lines: all of it needs the same server and viewers that break rules.
+"""
 
 import asyncio
 import contextlib
@@ -57,7 +60,7 @@ PUBLISHED = [{'a': math.nan}, {'a': [1.0, [math.inf, {'b': -math.inf}]]}, {'a': 
 
 
 @pytest.mark.parametrize('what', PUBLISHED, ids=range(len(PUBLISHED)))
-def test_what_comes_from_topics_ends_nobody(with_page, what):
+def test_what_comes_from_topics_ends_no_viewer(with_page, what):
     async def test(page):
         ws = await page.viewer()
         await with_page.texts(ws, 'status')
@@ -73,9 +76,9 @@ def test_what_comes_from_topics_ends_nobody(with_page, what):
     with_page(test)
 
 
-def test_what_a_viewer_sends_can_be_told_to_all(with_page):
+def test_what_a_viewer_sends_can_be_reported_to_all(with_page):
     async def test(page):
-        async def act(_who, request, _stops):
+        async def act(_viewer, request, _stops):
             page.server.broadcast({'kind': 'event', **request})
             return {'message': json.dumps(request)}
 
@@ -92,7 +95,7 @@ def test_what_a_viewer_sends_can_be_told_to_all(with_page):
 @pytest.mark.parametrize('first', ['x', '{}', '{"hello": 1, "seconds": "x"}', '[1]',
                                    '{"hello": 1, "seconds": 1e400}',
                                    '{"hello": 1, "seconds": -1}'])
-def test_who_does_not_say_hello_is_shown_out(with_page, first):
+def test_a_viewer_without_a_hello_is_disconnected(with_page, first):
     async def test(page):
         ws = await page.viewer(hello=False)
         await ws.send_str(first)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page's server: what a viewer gets, who may look, who may act."""
+"""The page's server: what a viewer gets, which may look, which may act."""
 
 import asyncio
 
@@ -118,7 +118,7 @@ def test_without_the_token_one_may_look_and_not_act(with_page, token):
     with_page(test)
 
 
-def test_read_only_means_nobody(with_page):
+def test_read_only_means_no_viewer(with_page):
     async def test(page):
         assert page.access.token not in page.access.address(page.port)
         ws = await page.viewer()
@@ -147,7 +147,7 @@ def test_from_elsewhere_even_looking_needs_the_token(with_page):
     {'Origin': 'http://localhost:{port}'},      # right machine, but not the page's own origin
     {'Origin': 'http://evil.example', 'Host': 'evil.example'},
 ])
-def test_a_page_of_somebody_else_gets_no_socket(with_page, headers):
+def test_a_page_of_another_origin_gets_no_socket(with_page, headers):
     async def test(page):
         filled = {name: value.format(port=page.port) for name, value in headers.items()}
         with pytest.raises(aiohttp.WSServerHandshakeError) as caught:

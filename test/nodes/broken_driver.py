@@ -35,13 +35,13 @@ class Broken(DriverNode):
             elif FLAW == 'made-up latency':
                 data[5] = 0.001
             elif FLAW == 'saturation':
-                self.tell(1000.0, data[1])
+                self.report(1000.0, data[1])
             message.data = data
             publish(message)
 
         self.states.publish = changed
 
-    def tell(self, v: float, stamp: float) -> None:
+    def report(self, v: float, stamp: float) -> None:
         """Publish the truth of an actuator that holds v."""
         message = Float64MultiArray(data=[0.0, stamp, v, 0.0, 0.0])
         message.layout.dim = [MultiArrayDimension(label='seq,stamp,w,d,disturbance', size=5,
@@ -55,13 +55,13 @@ class Broken(DriverNode):
             self.echo = (seq, message.data[1])
             self.fed = driver_node.time.monotonic()
         if FLAW == 'restart' and seq <= self.echo[0]:
-            return      # whoever counts from 0 again is not heard, ever
+            return      # one that counts from 0 again is ignored for ever
         if FLAW == 'disconnect' and self.mode == 'lost':
             self.change('estop')    # latched, and no reset leads out
         super().on_command(message)
 
     def on_estop(self, message: object) -> None:
-        """Hear the button, or not."""
+        """Receive the button, or not."""
         if FLAW != 'e-stop':
             super().on_estop(message)
 

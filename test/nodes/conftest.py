@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures of the tests of nodes: a recorded run, a node that hears a loop."""
+"""Fixtures of the tests of nodes: a recorded run, a node that receives a loop."""
 
 from dataclasses import replace
 import json
@@ -55,7 +55,7 @@ def samples():
 
 @pytest.fixture
 def children():
-    """Return ``find(run, count)``: node → process id, once `dz run` has started so many."""
+    """Return ``find(run, count)``: node → process id, once `dz run` has started this number."""
     def find(run, count):
         deadline = time.monotonic() + TIME_OUT
         while True:
@@ -73,7 +73,7 @@ def children():
 
 
 class Operator:
-    """A node of the test's own that hears everything and calls services."""
+    """A node of the test's own that receives everything and calls services."""
 
     patient = PATIENT
     ask_again = 0.0
@@ -91,9 +91,9 @@ class Operator:
         self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self.array, self.bool = Float64MultiArray, Bool
-        self.heard = {'state': [], 'command': [], 'terms': [], 'truth': []}
+        self.received = {'state': [], 'command': [], 'terms': [], 'truth': []}
         self.events = []
-        for topic, kept in self.heard.items():
+        for topic, kept in self.received.items():
             self.node.create_subscription(Float64MultiArray, topic, kept.append, 2000)
         durable = rclpy.qos.QoSProfile(
             depth=200, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
@@ -146,7 +146,7 @@ class Operator:
         request.transition.id = number
         return self.call(f'{node}/change_state', ChangeState, request).success
 
-    def life(self, node):
+    def lifecycle(self, node):
         from lifecycle_msgs.srv import GetState
         return self.call(f'{node}/get_state', GetState).current_state.label
 
@@ -168,15 +168,15 @@ class Watcher(Operator):
 
     @property
     def states(self):
-        return [message.data for message in self.heard['state']]
+        return [message.data for message in self.received['state']]
 
     def running(self, samples=50):
         self.wait_for_mode(actuator_node='running', controller_node='running')
-        heard = len(self.heard['state'])
-        self.wait(lambda: len(self.heard['state']) > heard + samples)
+        received = len(self.received['state'])
+        self.wait(lambda: len(self.received['state']) > received + samples)
 
     def tracked(self, trajectory, bound, samples=600, row=0):
-        """Wait for so many samples in a row whose median error is below a bound, of one axis.
+        """Wait for samples in a row whose median error is below a bound, of one axis.
 
         A busy machine may hold any process for long, so only what lasts is judged.
         """
@@ -204,28 +204,28 @@ class Watcher(Operator):
 
 @pytest.fixture
 def watcher(ros_domain):
-    """A node that hears the loop of this test's domain."""
+    """A node that receives the loop of this test's domain."""
     pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
     made = Watcher()
     yield made
     made.close()
 
 
-STAND_IN = Path(__file__).with_name('ros2_control_stand_in.py')
+EMULATOR = Path(__file__).with_name('ros2_control_emulator.py')
 ROOT = Path(__file__).parents[2]
 JOINT = ROOT / 'config' / 'joint.yaml'
 
 
 class Robot:
-    """What a test says to ros2_control's stand-in, what that says of its hardware, the loop."""
+    """Words to ros2_control's emulator, what that publishes of its hardware, the loop."""
 
     def __init__(self, watcher, processes):
         from std_msgs.msg import String
         self._watcher, self._string, self._processes = watcher, String, processes
         self.interface = []     # (controller active, command that the hardware holds)
-        watcher.node.create_subscription(String, '/stand_in/interface', lambda message:
+        watcher.node.create_subscription(String, '/emulator/interface', lambda message:
                                          self.interface.append(json.loads(message.data)), 1000)
-        self._do = watcher.node.create_publisher(String, '/stand_in/do', 10)
+        self._do = watcher.node.create_publisher(String, '/emulator/do', 10)
 
     def do(self, word):
         self._watcher.wait(lambda: self._do.get_subscription_count() > 0)
@@ -235,17 +235,17 @@ class Robot:
     def held(self):
         return self.interface[-1][1]
 
-    def stand_in(self, kind='forward', active=True, options=(), config=JOINT, path=ROOT):
-        """Start the stand-in."""
-        self._processes(str(STAND_IN), config, kind, *options,
+    def emulator(self, kind='forward', active=True, options=(), config=JOINT, path=ROOT):
+        """Start the emulator."""
+        self._processes(str(EMULATOR), config, kind, *options,
                         PYTHONPATH=str(path)).wait_for_line('controllers are loaded')
         if active:
             self.do('activate')
             self._watcher.wait(lambda: self.interface and self.interface[-1][0])
 
     def start(self, *more, kind='forward', active=True, options=(), config=JOINT, path=ROOT):
-        """Start stand-in and loop; return the loop's nodes once they are started."""
-        self.stand_in(kind, active, options, config, path)
+        """Start emulator and loop; return the loop's nodes once they are started."""
+        self.emulator(kind, active, options, config, path)
         return {name: self._processes('-m', 'dz_ros.nodes.main', name, '--ros-args',
                                       '--params-file', config, *self._watcher.patient, *more,
                                       PYTHONPATH=str(path))
@@ -254,7 +254,7 @@ class Robot:
 
 @pytest.fixture
 def robot(watcher, processes):
-    """The stand-in of ros2_control and the loop around it, not started."""
+    """The emulator of ros2_control and the loop around it, not started."""
     return Robot(watcher, processes)
 
 

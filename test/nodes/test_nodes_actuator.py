@@ -26,29 +26,29 @@ DZ = ('-m', 'dz_ros')
 TIME_OUT = 180.0
 
 
-class Listener:
-    """Hears modes, diagnostics and states; calls services."""
+class Subscriber:
+    """Receives modes, diagnostics and states; calls services."""
 
     def __init__(self):
         from diagnostic_msgs.msg import DiagnosticArray
         from std_msgs.msg import Float64MultiArray, String
         self.context = rclpy.Context()
         self.context.init()
-        self.node = rclpy.create_node('listener', context=self.context)
+        self.node = rclpy.create_node('subscriber', context=self.context)
         self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
-        self.events, self.states, self.said = [], [], {}
+        self.events, self.states, self.reported = [], [], {}
         durable = rclpy.qos.QoSProfile(
             depth=200, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
         self.node.create_subscription(
             String, 'events', lambda message: self.events.append(json.loads(message.data)),
             durable)
         self.node.create_subscription(Float64MultiArray, 'state', self.states.append, 1000)
-        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._hear, 10)
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._receive, 10)
 
-    def _hear(self, message):
+    def _receive(self, message):
         for status in message.status:
-            self.said[status.name] = status
+            self.reported[status.name] = status
 
     def wait(self, condition):
         deadline = time.monotonic() + TIME_OUT
@@ -62,7 +62,7 @@ class Listener:
         return (found[-1]['mode'], found[-1]['reason']) if found else ('', '')
 
     def values(self, name='/actuator_node'):
-        return {item.key: item.value for item in self.said[name].values}
+        return {item.key: item.value for item in self.reported[name].values}
 
     def call(self, service, kind=None, request=None):
         from std_srvs.srv import Trigger
@@ -86,8 +86,8 @@ class Listener:
 
 
 @pytest.fixture
-def listener(ros_domain):
-    made = Listener()
+def subscriber(ros_domain):
+    made = Subscriber()
     yield made
     made.close()
 
@@ -104,56 +104,57 @@ def run(processes):
     return start
 
 
-def test_a_fault_of_the_device_is_latched_in_its_words_until_it_is_reset(run, processes, listener):
+def test_a_fault_of_the_device_is_latched_in_its_words_until_reset(run, processes, subscriber):
     loop = run('100 fault over-temperature')
-    listener.wait(lambda: listener.mode()[0] == 'fault')
-    assert listener.mode() == ('fault', 'over-temperature')
-    heard = len(listener.states)
-    listener.wait(lambda: len(listener.states) > heard + 50)    # states go on meanwhile
+    subscriber.wait(lambda: subscriber.mode()[0] == 'fault')
+    assert subscriber.mode() == ('fault', 'over-temperature')
+    received = len(subscriber.states)
+    subscriber.wait(lambda: len(subscriber.states) > received + 50)    # states go on meanwhile
     status = processes(*DZ, 'status', '--once')
     assert status.wait() == 1
     assert 'ERROR  /actuator_node: fault: over-temperature' in status.output
     assert processes(*DZ, 'reset').wait() == 0
-    listener.wait(lambda: listener.mode()[0] == listener.mode('controller_node')[0] == 'running')
+    subscriber.wait(lambda: {subscriber.mode()[0], subscriber.mode('controller_node')[0]} == {
+        'running'})
     loop.signal(signal.SIGINT)
     assert loop.wait() == 0, loop.output
 
 
-def test_a_fault_that_lasts_is_why_a_reset_is_refused(run, listener):
+def test_a_fault_that_lasts_is_why_a_reset_is_refused(run, subscriber):
     run('50- fault bus off')
-    listener.wait(lambda: listener.mode() == ('fault', 'bus off'))
-    refused = listener.call('actuator_node/reset')
+    subscriber.wait(lambda: subscriber.mode() == ('fault', 'bus off'))
+    refused = subscriber.call('actuator_node/reset')
     assert (refused.success, refused.message) == (False, 'bus off')
 
 
-def test_one_that_refuses_to_recover_says_so(run, listener):
+def test_one_that_refuses_to_recover_reports_it(run, subscriber):
     run('50 fault hot', 'recover wait an hour')
-    listener.wait(lambda: listener.mode()[0] == 'fault')
-    refused = listener.call('actuator_node/reset')
+    subscriber.wait(lambda: subscriber.mode()[0] == 'fault')
+    refused = subscriber.call('actuator_node/reset')
     assert (refused.success, refused.message) == (False, 'wait an hour')
 
 
 def test_samples_without_a_measurement_have_no_state_and_too_many_are_a_fault(
-        run, listener, tmp_path):
+        run, subscriber, tmp_path):
     recorded = tmp_path / 'run'
     loop = run('100 none', '150 nan', '200- none', options=('--record', recorded))
-    listener.wait(lambda: listener.mode()[0] == 'fault')
-    assert listener.mode()[1].startswith('no measurement for ')
-    listener.wait(lambda: '/actuator_node' in listener.said
-                  and int(listener.values()['samples without measurement']) > 100)
-    assert listener.values()['bad measurements'] == '1'
+    subscriber.wait(lambda: subscriber.mode()[0] == 'fault')
+    assert subscriber.mode()[1].startswith('no measurement for ')
+    subscriber.wait(lambda: '/actuator_node' in subscriber.reported
+                  and int(subscriber.values()['samples without measurement']) > 100)
+    assert subscriber.values()['bad measurements'] == '1'
     loop.interrupt()
     sequence = set(map(int, read_run(recorded).channels['state']['seq']))
     assert not {100, 150} & sequence
     assert 150 < max(sequence) < 200
 
 
-def test_code_that_raises_ends_no_process(run, listener):
+def test_code_that_raises_ends_no_process(run, subscriber):
     loop = run('60-80 raise broken wire')
-    listener.wait(lambda: listener.mode()[0] == 'fault')
-    assert 'RuntimeError: broken wire (mock.py, line ' in listener.mode()[1]
-    heard = len(listener.states)
-    listener.wait(lambda: len(listener.states) > heard + 20)
+    subscriber.wait(lambda: subscriber.mode()[0] == 'fault')
+    assert 'RuntimeError: broken wire (mock.py, line ' in subscriber.mode()[1]
+    received = len(subscriber.states)
+    subscriber.wait(lambda: len(subscriber.states) > received + 20)
     assert loop.poll() is None
 
 
@@ -166,26 +167,26 @@ def test_a_device_that_is_not_there_ends_the_run_in_one_line(run, what):
 
 
 def test_a_refused_activation_leaves_the_node_inactive_and_may_be_tried_again(
-        processes, listener):
+        processes, subscriber):
     node = processes(*NODE, 'actuator_node', '--ros-args', '-p', 'driver.name:=mock', '-p',
                      "driver.script:=['enable not now']", '-p', 'autostart:=false', '-p',
                      "loop.peers:=['plant_node']")
-    assert listener.change(1)
-    assert not listener.change(3)
+    assert subscriber.change(1)
+    assert not subscriber.change(3)
     from rcl_interfaces.srv import SetParameters
     request = SetParameters.Request(parameters=[rclpy.parameter.Parameter(
         'driver.script', value=['0 none']).to_parameter_msg()])
-    assert listener.call('actuator_node/set_parameters', SetParameters,
+    assert subscriber.call('actuator_node/set_parameters', SetParameters,
                          request).results[0].successful
-    assert listener.change(3)
-    assert listener.change(4)
-    assert listener.change(2)
-    assert listener.change(1)
+    assert subscriber.change(3)
+    assert subscriber.change(4)
+    assert subscriber.change(2)
+    assert subscriber.change(1)
     assert node.interrupt() == 0
     assert 'not now' in node.output
 
 
-def test_a_device_that_is_stopped_by_itself_is_reset_while_inactive(processes, listener,
+def test_a_device_that_is_stopped_by_itself_is_reset_while_inactive(processes, subscriber,
                                                                     tmp_path):
     (tmp_path / 'stopped.py').write_text(
         'from dz_ros.drivers.simulated import SimulatedActuator\n'
@@ -199,34 +200,34 @@ def test_a_device_that_is_stopped_by_itself_is_reset_while_inactive(processes, l
                      '-p', 'autostart:=false', '-p', "loop.peers:=['plant_node']",
                      PYTHONPATH=os.pathsep.join([str(ROOT), str(tmp_path),
                                                  os.environ.get('PYTHONPATH', '')]))
-    assert listener.call('actuator_node/reset').message == 'nothing is latched'
-    assert listener.change(1)
-    assert not listener.change(3)
-    answer = listener.call('actuator_node/reset')
+    assert subscriber.call('actuator_node/reset').message == 'nothing is latched'
+    assert subscriber.change(1)
+    assert not subscriber.change(3)
+    answer = subscriber.call('actuator_node/reset')
     assert answer.success, answer.message
-    assert listener.change(3)
+    assert subscriber.change(3)
     assert node.interrupt() == 0
 
 
-def test_saturation_is_counted_and_warned_of(run, listener):
+def test_saturation_is_counted_and_warned_of(run, subscriber):
     run(driver__limit=0.05)
-    listener.wait(lambda: '/actuator_node' in listener.said and int(
-        listener.values()['saturated by the device [commands]']) > 100)
-    listener.wait(lambda: 'beyond the limit 0.05 of the device'
-                  in listener.said['/actuator_node'].message)
-    assert listener.values()['driver'] == 'mock'
+    subscriber.wait(lambda: '/actuator_node' in subscriber.reported and int(
+        subscriber.values()['saturated by the device [commands]']) > 100)
+    subscriber.wait(lambda: 'beyond the limit 0.05 of the device'
+                  in subscriber.reported['/actuator_node'].message)
+    assert subscriber.values()['driver'] == 'mock'
 
 
-def test_positions_alone_close_the_loop_and_the_rule_is_told(run, listener):
+def test_positions_alone_close_the_loop_and_the_rule_is_reported(run, subscriber):
     loop = run(driver__measures=1, driver__observer=5.0, plant__noise=[1e-5, 0.0])
     loop.wait_for_line('design rule observer')
-    listener.wait(lambda: len(listener.states) > 300)
-    data = np.array([message.data for message in listener.states[-200:]])
+    subscriber.wait(lambda: len(subscriber.states) > 300)
+    data = np.array([message.data for message in subscriber.states[-200:]])
     assert data.shape[1] == 7       # seq, stamp, x0, x1, echoes, round trip
     assert np.abs(data[:, 3]).max() > 0.0
 
 
-def test_in_lockstep_the_mock_repeats_the_loop_off_line_bit_for_bit(processes, samples, tmp_path):
+def test_in_lockstep_the_mock_repeats_the_loop_offline_bit_for_bit(processes, samples, tmp_path):
     done = processes(*DZ, 'run', 'wang2004', '--lockstep', '--duration', '1', '--quiet',
                      '--set', 'driver.name=mock', '--record', tmp_path / 'run')
     assert done.wait() == 0, done.output
@@ -288,8 +289,8 @@ def test_a_real_driver_has_no_lockstep(processes, tmp_path):
     assert 'a device keeps time' in done.output
 
 
-def test_a_controller_needs_no_driver_s_class(processes, listener):
+def test_a_controller_needs_no_driver_s_class(processes, subscriber):
     node = processes(*NODE, 'controller_node', '--ros-args', '-p', 'driver.name:=not_here',
                      '-p', 'driver.port:=/dev/null')
-    listener.wait(lambda: any(event['event'] == 'configuration' for event in listener.events))
+    subscriber.wait(lambda: any(event['event'] == 'configuration' for event in subscriber.events))
     assert node.interrupt() == 0, node.output

@@ -28,7 +28,7 @@ AXES = ('base', 'shoulder', 'elbow', 'roll', 'pitch', 'yaw')
 ARGUMENTS = ('--ros-args', '--params-file', CONFIG, '-p', 'loop.duration:=0.0')
 NAMES = ('trajectory_node', 'controller_node', 'actuator_node')
 FAR = 1e6
-"""What a message that must not be taken says of each axis."""
+"""What a message that must not be taken reports of each axis."""
 
 
 @pytest.mark.parametrize(('name', 'names'), [
@@ -58,7 +58,7 @@ def start(processes, operator):
     """Return ``start(*arguments)``: the nodes of a loop without end, by name, that runs."""
     def begin(*arguments):
         nodes = {name: processes(*NODE, name, *ARGUMENTS, *arguments) for name in NAMES}
-        operator.wait(lambda: len(operator.heard['state']) > 50)
+        operator.wait(lambda: len(operator.received['state']) > 50)
         return nodes
 
     return begin
@@ -83,10 +83,10 @@ def test_a_driver_that_dies_is_named_and_stops_every_axis(start, operator):
                   'axes.roll.driver.script:=["300- fault burnt"]')
     operator.wait_for_mode(actuator_node='fault')
     assert operator.modes()['actuator_node'][1].startswith('axis roll: burnt')
-    seen = len(operator.heard['state'])
-    operator.wait(lambda: len(operator.heard['state']) > seen + 20)
-    operator.wait(lambda: not any(held(operator.heard['truth'][-1])))
-    assert operator.life('/actuator_node') == 'active'
+    seen = len(operator.received['state'])
+    operator.wait(lambda: len(operator.received['state']) > seen + 20)
+    operator.wait(lambda: not any(held(operator.received['truth'][-1])))
+    assert operator.lifecycle('/actuator_node') == 'active'
     stop(nodes)
 
 
@@ -98,8 +98,8 @@ def test_a_limit_of_one_axis_is_a_fault_of_all_until_the_reset(start, operator):
     operator.wait_for_mode(controller_node='fault')
     assert operator.modes()['controller_node'][1].startswith('axis pitch: error ')
     width = len(Command.labels())
-    operator.wait(lambda: not any(operator.heard['command'][-1].data[2::width]))
-    assert len(operator.heard['command'][-1].data) == width * len(AXES)
+    operator.wait(lambda: not any(operator.received['command'][-1].data[2::width]))
+    assert len(operator.received['command'][-1].data) == width * len(AXES)
     assert operator.set('/controller_node', axes__pitch__safety__error_limit=0.0).successful
     operator.wait(lambda: operator.call('/controller_node/reset').success)
     operator.wait_for_mode(controller_node='running')
@@ -204,14 +204,14 @@ def test_what_other_machines_send_is_counted_by_cause_and_moves_no_axis(
         nodes[node].wait_for_line(f'{topic}: {cause} (')
     operator.wait_for_mode(actuator_node='running', controller_node='running')
     assert 'fault' not in {event.get('mode') for event in operator.events}
-    for message in operator.heard['truth']:
+    for message in operator.received['truth']:
         assert all(abs(number) < 1e3 for number in message.data[2::5])
     stop(nodes)
 
 
 def test_a_stream_of_foreign_messages_is_silence_for_every_axis(start, operator):
     nodes = start()
-    last = operator.heard['command'][-1]
+    last = operator.received['command'][-1]
     nodes['controller_node'].signal(signal.SIGKILL)
     nodes.pop('controller_node').wait()
     publisher = operator.node.create_publisher(operator.array, 'command', 10)
@@ -221,7 +221,7 @@ def test_a_stream_of_foreign_messages_is_silence_for_every_axis(start, operator)
         return operator.modes().get('actuator_node') == ('fault', 'no command')
 
     operator.wait(given_up)
-    operator.wait(lambda: not any(held(operator.heard['truth'][-1])))
+    operator.wait(lambda: not any(held(operator.received['truth'][-1])))
     assert 'command: axes in another order (' in nodes['actuator_node'].output
     stop(nodes)
 
@@ -229,14 +229,14 @@ def test_a_stream_of_foreign_messages_is_silence_for_every_axis(start, operator)
 def test_an_axis_at_its_limit_alone_is_held_back_and_its_adaptation_alone_frozen(
         start, operator, reported):
     nodes = start(*operator.patient, '-p', 'axes.yaw.safety.command_limit:=0.2')
-    labels, width = operator.heard['terms'][-1].layout.dim[1].label.split(','), len(
+    labels, width = operator.received['terms'][-1].layout.dim[1].label.split(','), len(
         Command.labels())
     status = labels.index('status')
     assert status == Terms.labels(()).index('status')
 
     def saturated():
         """Return for each axis in how many samples it was held back."""
-        rows = np.array([item.data[status::len(labels)] for item in operator.heard['terms']])
+        rows = np.array([item.data[status::len(labels)] for item in operator.received['terms']])
         return np.count_nonzero(rows.astype(int) & Status.SATURATED, axis=0)
 
     yaw = AXES.index('yaw')
@@ -245,7 +245,7 @@ def test_an_axis_at_its_limit_alone_is_held_back_and_its_adaptation_alone_frozen
 
     def largest():
         """Return the largest |v| of each axis so far."""
-        return np.abs([item.data[2::width] for item in operator.heard['command']]).max(axis=0)
+        return np.abs([item.data[2::width] for item in operator.received['command']]).max(axis=0)
 
     operator.wait(lambda: largest()[:yaw].min() > 0.2)
     assert largest()[yaw] == 0.2

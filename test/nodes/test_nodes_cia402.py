@@ -35,7 +35,7 @@ NEAR = 0.1
 
 
 class Bus:
-    """The bus as a bystander: hears the drive, asks it for faults."""
+    """The bus as a bystander: receives the drive, asks it for faults."""
 
     def __init__(self, port):
         self.port = port
@@ -43,11 +43,11 @@ class Bus:
             self.bus, second = (can.Bus(interface='udp_multicast', channel=GROUP, port=port,
                                         hop_limit=0) for _ in range(2))
             second.send(can.Message(arbitration_id=0x7FF, is_extended_id=False))
-            heard = self.bus.recv(5.0)
+            received = self.bus.recv(5.0)
             second.shutdown()
         except can.CanError as error:
             pytest.skip(f'no multicast on this machine: {error.__cause__ or error}')
-        if heard is None:
+        if received is None:
             pytest.skip('multicast frames do not come back on this machine')
 
     def ask(self, fault, value=0, duration=0.0, node=1):
@@ -71,7 +71,7 @@ class Bus:
             assert message is not None, 'nothing on the bus any more'
 
     def states(self, cycles, node=1):
-        """Return the states a drive reports in so many cycles from now on."""
+        """Return the states a drive reports in this number of cycles from now on."""
         while self.bus.recv(0) is not None:
             pass
         found, syncs = set(), 0
@@ -175,7 +175,7 @@ def follow(processes, operator, settings):
 
     def tracks():
         """Whether most of the last hundred samples were so."""
-        last = operator.heard['terms'][-100:]
+        last = operator.received['terms'][-100:]
         return len(last) == 100 and sum(near(message.data) for message in last) > 70
 
     def running():
@@ -189,7 +189,7 @@ def follow(processes, operator, settings):
 
     def back():
         operator.wait(running)
-        operator.heard['terms'].clear()
+        operator.received['terms'].clear()
         operator.wait(lambda: running() and tracks())   # what comes late may be a fault again
 
     def start(config, number=1):
@@ -210,7 +210,7 @@ def test_faults_are_latched_and_left_by_reset(tracking, bus, operator, cases):
         operator.wait_for_mode(actuator_node='fault')
         assert operator.modes()['actuator_node'][1].startswith(reason), fault
         if states:
-            operator.wait(lambda: DriveState.ENABLED not in bus.states(5))  # it has heard
+            operator.wait(lambda: DriveState.ENABLED not in bus.states(5))  # it has received
             assert bus.states(50) <= states, fault
         tracking()
 
@@ -250,19 +250,19 @@ def test_the_conformance_kit_finds_nothing_wrong(kit, drive, settings):
     assert {key for key, item in found.items() if item['passed'] is None} == set()
 
 
-def test_without_a_drive_one_line_says_so(processes, bus, settings):
+def test_without_a_drive_one_line_reports_it(processes, bus, settings):
     loop = processes(*DZ, 'run', 'cia402', *settings)
     assert loop.wait() == 2
     assert 'node 1: no answer within 1 s: is the drive on' in loop.output
     assert 'Traceback' not in loop.output
 
 
-def test_the_emulated_drive_says_what_can_be_asked_of_it(processes):
-    said = processes(*DZ, 'driver', 'emulate', 'cia402', '--list')
-    assert said.wait() == 0
+def test_the_emulated_drive_reports_what_can_be_asked_of_it(processes):
+    reported = processes(*DZ, 'driver', 'emulate', 'cia402', '--list')
+    assert reported.wait() == 0
     for fault in FAULTS:
-        assert f'--fault {fault}@' in said.output
-    assert '--option brake=' in said.output
+        assert f'--fault {fault}@' in reported.output
+    assert '--option brake=' in reported.output
     wrong = processes(*DZ, 'driver', 'emulate', 'cia402', 'servo')
     assert wrong.wait() == 2
     assert 'must be cia402' in wrong.output

@@ -23,7 +23,7 @@ STEPS = ['limits', 'sign', 'sensor', 'identify', 'propose', 'check', 'loop', 're
 
 @pytest.fixture
 def commission(processes, tmp_path):
-    """Return a function that commissions a device; once more from a step that a stall spoilt."""
+    """Return a function that commissions a device; again from a step that a stall spoilt."""
     def do(config, *settings):
         out = tmp_path / 'first'
         shared = [word for text in (*PATIENT, *settings) for word in ('--set', text)]
@@ -86,7 +86,7 @@ def test_a_cia402_drive(commission, processes, ros_domain):
 
 
 def test_a_joint_of_ros2_control(commission, processes):
-    device = Path(__file__).with_name('ros2_control_stand_in.py')
+    device = Path(__file__).with_name('ros2_control_emulator.py')
     processes(str(device), str(ROOT / 'config' / 'joint.yaml'), 'effort', 'active=1',
               PYTHONPATH=str(ROOT)).wait_for_line('controllers are loaded')
     tracks(*commission('joint', 'driver.fresh=4.0'))

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The e-stop from outside: every kind of publisher, any moment, held by whoever presses it."""
+"""The e-stop from outside: every kind of publisher, any moment, held by the one that presses.
+
+Over 300 lines: publishers, ends and presses are those of one topic.
+"""
 
 import json
 from pathlib import Path
@@ -140,14 +143,14 @@ def test_a_publisher_holds_what_it_presses_until_it_releases_or_is_gone(loop, op
     first(True)
     both_stopped(operator)
     joystick.destroy_node()         # dies while it presses: stopped until the operator's reset
-    heard = len(operator.heard['state'])
-    operator.wait(lambda: len(operator.heard['state']) > heard + 200)
+    received = len(operator.received['state'])
+    operator.wait(lambda: len(operator.received['state']) > received + 200)
     both_stopped(operator)
     both_reset(operator)
 
 
 @pytest.mark.parametrize('transitions', [(4,), (4, 2)])     # inactive, unconfigured
-def test_a_press_in_any_lifecycle_state_is_in_force_when_the_node_is_active_again(
+def test_a_press_in_any_lifecycle_state_holds_when_the_node_is_active_again(
         loop, operator, button, transitions):
     press = button()
     for number in transitions:
@@ -161,14 +164,14 @@ def test_a_press_in_any_lifecycle_state_is_in_force_when_the_node_is_active_agai
                 if event['event'] == 'stopped' and event['node'] == '/plant_node')
 
     def since():        # not by when it was received: a busy machine has messages wait
-        return [message.data for message in operator.heard['truth'] if message.data[0] > last]
+        return [message.data for message in operator.received['truth'] if message.data[0] > last]
 
     operator.wait(lambda: len(since()) > 20)
     assert all(data[2] == data[3] for data in since())
     both_reset(operator)
 
 
-def test_what_a_latched_publisher_said_before_the_node_was_there_counts(
+def test_what_a_latched_publisher_reported_before_the_node_was_there_counts(
         processes, operator):
     publisher = operator.node.create_publisher(operator.bool, 'estop', qos('latched'))
     publisher.publish(operator.bool(data=True))
@@ -210,9 +213,9 @@ def test_the_command_line_stops_one_end_though_the_other_one_hangs(processes, lo
 
 
 @pytest.mark.parametrize('kind', KINDS)
-def test_the_listener_for_a_device_without_a_loop_receives_every_kind(processes, operator, kind):
-    listener = processes(*NODE, 'operator_node', '--ros-args', '-p', 'task:=receive_estop')
-    listener.wait_for_line('subscribed')
+def test_the_subscriber_for_a_device_without_a_loop_receives_every_kind(processes, operator, kind):
+    subscriber = processes(*NODE, 'operator_node', '--ros-args', '-p', 'task:=receive_estop')
+    subscriber.wait_for_line('subscribed')
     publisher = operator.node.create_publisher(operator.bool, 'estop', qos(kind))
     seen = {'sensor data': 1, 'latched': 3}.get(kind, 2)
     operator.wait(lambda: publisher.get_subscription_count() == seen)
@@ -220,11 +223,11 @@ def test_the_listener_for_a_device_without_a_loop_receives_every_kind(processes,
     def received():
         publisher.publish(operator.bool(data=True))
         publisher.publish(operator.bool(data=False))
-        return kind in ('default', 'keep all') or 'pressed' in listener.output
+        return kind in ('default', 'keep all') or 'pressed' in subscriber.output
 
-    # What is not kept is sent again: the listener may not know a new publisher yet.
+    # What is not kept is sent again: the subscriber may not know a new publisher yet.
     operator.wait(received)
-    assert json.loads(listener.wait_for_line('pressed')) == {'pressed': True}
+    assert json.loads(subscriber.wait_for_line('pressed')) == {'pressed': True}
 
 
 @pytest.fixture

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver `joint` against a process that behaves as ros2_control's controllers do."""
+"""The driver `joint` against a process that behaves as ros2_control's controllers do.
+
+Over 300 lines: one driver, without ROS and in the loop.
+"""
 
 import itertools
 import json
@@ -27,7 +30,7 @@ def make(**driver):
                                        in driver.items()]).make_driver()
 
 
-# What a joint state says of the joint, without ROS.
+# What a joint state reports of the joint, without ROS.
 
 def state(names=('shoulder', 'joint1'), position=(9.0, 0.25), velocity=(8.0, -0.5), stamp=(1, 0)):
     stamp = types.SimpleNamespace(sec=stamp[0], nanosec=stamp[1])
@@ -36,7 +39,7 @@ def state(names=('shoulder', 'joint1'), position=(9.0, 0.25), velocity=(8.0, -0.
                                  header=types.SimpleNamespace(stamp=stamp))
 
 
-def listening(**parameters):
+def subscribed(**parameters):
     """Return a driver that thinks it is open, and waited for its joint for long."""
     driver = make(**{'patience': 0.1, 'extrapolate': 'false', **parameters})
     driver.group._publisher = types.SimpleNamespace(get_subscription_count=lambda: 1)
@@ -45,7 +48,7 @@ def listening(**parameters):
 
 
 def test_the_named_joint_is_taken_wherever_it_stands():
-    driver = listening(fresh=1000)
+    driver = subscribed(fresh=1000)
     driver.states.receive(state(), 1)
     assert driver.measure() == (0.25, -0.5)
     driver.states.receive(state(('joint1', 'shoulder'), (0.5, 9.0), (1.0, 8.0), (1, 1)), 2)
@@ -65,8 +68,8 @@ def test_the_named_joint_is_taken_wherever_it_stands():
      "the velocity of 'joint1' is nan: set driver.measured to 1 to have it observed"),
     (state(velocity=(9.0, -math.inf)), "the velocity of 'joint1' is -inf"),
 ])
-def test_what_is_wrong_with_a_joint_state_is_said(message, words):
-    driver = listening()
+def test_what_is_wrong_with_a_joint_state_is_reported(message, words):
+    driver = subscribed()
     driver.states.receive(message)
     assert driver.measure() is None
     assert words in driver.fault()
@@ -76,12 +79,12 @@ def test_what_is_wrong_with_a_joint_state_is_said(message, words):
     assert sum(driver.refused.values()) + driver.states.counts['joint states of others'] == 1
 
 
-def test_nothing_at_all_is_said():
-    assert listening().fault() == 'nothing arrives on /joint_states'
+def test_nothing_at_all_is_reported():
+    assert subscribed().fault() == 'nothing arrives on /joint_states'
 
 
 def test_others_joints_and_a_stamp_that_stands_still_are_no_measurement():
-    driver = listening(fresh=1000, patience=1000)
+    driver = subscribed(fresh=1000, patience=1000)
     driver.states.receive(state())
     first = driver.measure()
     for message in (state(position=(1.0, 2.0)), state(names=('a', 'b'), stamp=(2, 0)),
@@ -90,14 +93,14 @@ def test_others_joints_and_a_stamp_that_stands_still_are_no_measurement():
         assert driver.measure() == first
     driver.states.receive(state(position=(1.0, 2.0), stamp=(3, 0)))
     assert driver.measure() == (2.0, -0.5)
-    unstamped = state(stamp=(0, 0))         # a broadcaster that does not say when
+    unstamped = state(stamp=(0, 0))         # a broadcaster without a time
     for _ in range(2):
         driver.states.receive(unstamped)
         assert driver.measure() == (0.25, -0.5)
 
 
 def test_an_older_state_of_the_same_publisher_is_no_measurement():
-    driver = listening(fresh=1000, patience=1000)
+    driver = subscribed(fresh=1000, patience=1000)
     driver.states.receive(state(position=(1.0, 2.0), stamp=(3, 0)), 1)
     driver.states.receive(state(position=(1.0, 3.0), stamp=(2, 10 ** 9 - 1)), 2)
     assert driver.measure() == (2.0, -0.5)
@@ -107,7 +110,7 @@ def test_an_older_state_of_the_same_publisher_is_no_measurement():
     assert driver.measure() == (4.0, -0.5)
 
 
-def test_publishers_are_told_apart_by_their_count_and_not_mixed():
+def test_publishers_are_distinguished_by_their_count_and_not_mixed():
     sources = JointSources(memory=5.0)
     steady = [sources.take('a', number, 0, 0.002 * number) for number in range(1, 50)]
     assert all(steady)
@@ -128,7 +131,7 @@ def test_a_publisher_that_was_started_again_takes_its_own_place():
 
 
 def test_the_position_is_advanced_by_the_age_of_the_state():
-    driver = listening(fresh=200, extrapolate='true')
+    driver = subscribed(fresh=200, extrapolate='true')
     now_ns = 5_000_000_000
     clock = types.SimpleNamespace(now=lambda: types.SimpleNamespace(nanoseconds=now_ns))
     driver.attach(types.SimpleNamespace(get_clock=lambda: clock))
@@ -168,7 +171,7 @@ class Graph:
         return len(self.publishers)
 
     def get_publishers_info_by_topic(self, topic):
-        assert topic == 'commands'      # the middleware's name would be remapped once more
+        assert topic == 'commands'      # the middleware's name would be remapped again
         return [types.SimpleNamespace(node_name=name, node_namespace=space)
                 for name, space in self.publishers]
 
@@ -180,7 +183,7 @@ def watching(name=''):
                                        'effort', '/activity')
 
 
-def test_the_manager_s_activity_tells_the_state_of_the_controller():
+def test_the_manager_s_activity_shows_the_state_of_the_controller():
     graph, controller = watching()
     controller.verified = True
 
@@ -234,7 +237,7 @@ def test_units_are_the_joint_s():
 
 
 def test_an_old_joint_state_is_none():
-    driver = listening(fresh=2.0)
+    driver = subscribed(fresh=2.0)
     driver.states.receive(state())
     driver.states.receive(state(stamp=(2, 0)), arrived=time.monotonic() - 0.011)
     assert driver.measure() is None
@@ -287,7 +290,7 @@ NO_USE = {
     'freeze': ('run', 'the stamp of /joint_states stands still'),
     'positions': ('all', "has no velocity of 'joint1': set driver.measured to 1"),
     'blind': ('seeing', "the velocity of 'joint1' is nan: set driver.measured to 1")}
-"""What the stand-in is told → what ends it, and what is said of it."""
+"""What the emulator is commanded → what ends it, and what is reported of it."""
 
 
 @pytest.mark.ros
@@ -297,9 +300,9 @@ def test_joint_states_of_no_use_are_a_fault_and_a_reset_goes_on(watcher, robot):
         watcher.running()
         robot.do(word)
         watcher.wait_for_mode(actuator_node='fault')
-        said = watcher.modes()['actuator_node'][1]
-        assert said.startswith('no measurement for ')
-        assert reason in said, word
+        reported = watcher.modes()['actuator_node'][1]
+        assert reported.startswith('no measurement for ')
+        assert reason in reported, word
         watcher.wait(lambda: robot.held == 0.0)
         robot.do(back)
         watcher.wait(watcher.recovered)
@@ -309,7 +312,7 @@ def test_joint_states_of_no_use_are_a_fault_and_a_reset_goes_on(watcher, robot):
 
 
 @pytest.mark.ros
-def test_a_joint_of_another_name_never_starts_and_says_which_there_are(
+def test_a_joint_of_another_name_never_starts_and_reports_which_there_are(
         watcher, robot):
     nodes = robot.start('-p', 'driver.joint:=knee', '-p', 'driver.patience:=10.0',
                         options=['joints=knee'])
@@ -394,7 +397,7 @@ def test_another_publisher_of_the_joint_is_a_fault_that_names_it(
     watcher.running()
     watcher.wait(lambda: watcher.states[-1][2] > 0.5)
     before = len(watcher.states)
-    robot.do('another')                 # it says 0
+    robot.do('another')                 # it reports 0
     watcher.wait_for_mode(actuator_node='fault')
     assert watcher.modes()['actuator_node'][1] == (
         "more than one publisher publishes joint 'joint1' on /joint_states "
@@ -423,7 +426,7 @@ def test_frozen_values_with_running_stamps_end_at_the_error_limit(watcher, robot
 
     watcher.wait(lambda: beyond(watcher.states[-1]))
     seqs = {data[0] for data in watcher.states if beyond(data)}
-    assert not [message.data for message in watcher.heard['command']
+    assert not [message.data for message in watcher.received['command']
                 if message.data[3] in seqs and message.data[2] != 0.0]
 
 
@@ -431,14 +434,14 @@ def test_frozen_values_with_running_stamps_end_at_the_error_limit(watcher, robot
 def test_commands_of_an_inactive_controller_do_nothing_and_are_forgotten(
         watcher, robot):
     robot.start('-p', 'safety.error_limit:=0.5', active=False)
-    # Nobody can tell but by the error that grows: that is what error_limit is for.
+    # Only the error that grows shows it: that is what error_limit is for.
     watcher.wait_for_mode(controller_node='fault')
     assert watcher.modes()['controller_node'][1].startswith('error ')
     watcher.wait(lambda: robot.interface)
     assert {held for _, held, *_ in robot.interface} == {0.0}
     robot.do('activate')
-    heard = len(robot.interface)
-    watcher.wait(lambda: len(robot.interface) > heard + 50)
+    received = len(robot.interface)
+    watcher.wait(lambda: len(robot.interface) > received + 50)
     assert {held for _, held, *_ in robot.interface} == {0.0}
 
 
@@ -451,28 +454,28 @@ def test_a_dead_process_leaves_the_last_command_in_the_controller(
     watcher.wait(lambda: robot.held != 0.0)
     nodes['actuator_node'].signal(9)
     nodes['actuator_node'].wait()
-    heard = len(robot.interface)
+    received = len(robot.interface)
 
     def held():
         return {command for _, command, *_ in robot.interface[-100:]}
 
     # What was sent before is still on its way where the machine is busy.
-    watcher.wait(lambda: len(robot.interface) > heard + 200 and len(held()) == 1)
+    watcher.wait(lambda: len(robot.interface) > received + 200 and len(held()) == 1)
 
 
 @pytest.mark.ros
 def test_the_conformance_kit_finds_nothing_wrong(kit, watcher, robot):
-    robot.stand_in()
+    robot.emulator()
     found = kit('joint', '--config', CONFIG, '--set', 'driver.fresh=100', '--set',
                 'safety.command_hold=20')
-    # ros2_control's controllers do not tell which command they hold.
+    # ros2_control's controllers do not report which command they hold.
     assert {key for key, item in found.items() if item['passed'] is None} == {
         'safe command', 'limit', 'stop and reset', 'saturation'}
 
 
 @pytest.mark.ros
 def test_its_dead_zone_is_found(processes, watcher, robot, tmp_path):
-    robot.stand_in()
+    robot.emulator()
     for attempt in range(4):    # a machine that stalls may lose too many states for an answer
         out = tmp_path / f'found{attempt}'
         found = processes('-m', 'dz_ros', 'driver', 'identify', CONFIG, '--travel', '3', '--speed',

@@ -101,7 +101,7 @@ def messages(tmp_path_factory):
 @pytest.mark.ros
 def test_a_controller_that_leaves_active_is_known_from_the_manager_alone(
         messages, robot, watcher):
-    # The stand-in sends no transition event, and the error has no limit: nothing else tells.
+    # The emulator sends no transition event, and the error has no limit: nothing else reports.
     nodes = robot.start(options=['activity=1'], path=messages)
     watcher.running()
     watcher.wait(lambda: abs(robot.held) > 0.3)

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver `joint` of several axes: the joints of one controller in one command, one state."""
+"""The driver `joint` of several axes: the joints of one controller in one command, one state.
+
+Over 300 lines: one process replaces the controllers of all of it.
+"""
 
 import math
 from pathlib import Path
@@ -71,13 +74,13 @@ class Published(list):
     """A publisher that keeps what it is given."""
 
     topic_name = '/effort_controller/commands'
-    listeners = 1
+    subscribers = 1
 
     def publish(self, message):
         self.append(list(message.data))
 
     def get_subscription_count(self):
-        return self.listeners
+        return self.subscribers
 
     def wait_for_all_acked(self, duration):
         return True
@@ -206,7 +209,7 @@ def test_asking_one_joint_alone_does_not_tear_a_sample_apart(hosted):
         state(['joint1', 'joint2', 'joint3'], (2, 0), position=[5.0, 6.0, 7.0]), 2)
     assert [x[0] for x in machine.measure(0.01)] == [5.0, 6.0, 7.0]
     assert machine.fault() == ''
-    node.published.listeners = 0
+    node.published.subscribers = 0
     assert machine.fault() == ('axes upper, fore, hand: no node subscribes to '
                                '/effort_controller/commands: is the controller loaded?')
 
@@ -352,7 +355,7 @@ def two(tmp_path):
 
 
 @pytest.mark.ros
-def test_both_joints_track_behind_a_controller_of_another_order_with_a_joint_of_nobody(
+def test_both_joints_track_behind_a_controller_of_another_order_with_a_joint_of_no_axis(
         robot, watcher, two):
     nodes = robot.start(
         *(word for key, value in {
@@ -377,7 +380,7 @@ def test_both_joints_track_behind_a_controller_of_another_order_with_a_joint_of_
 NO_USE = {
     'part': ('whole', "joint 'joint2' is not among those of /joint_states: shoulder, joint1"),
     'nan': ('number', "the position of 'joint2' is nan")}
-"""What the stand-in is told → what ends it, and what is said of it."""
+"""What the emulator is commanded → what ends it, and what is reported of it."""
 
 
 @pytest.mark.ros
@@ -388,9 +391,9 @@ def test_what_one_joint_lacks_stops_both_and_so_does_a_controller_that_leaves_ac
         watcher.running()
         robot.do(word)
         watcher.wait_for_mode(actuator_node='fault')
-        said = watcher.modes()['actuator_node'][1]
-        assert said.startswith('axes upper, fore: no measurement for ')
-        assert reason in said
+        reported = watcher.modes()['actuator_node'][1]
+        assert reported.startswith('axes upper, fore: no measurement for ')
+        assert reason in reported
         watcher.wait(lambda: robot.held == [0.0, 0.0])
         robot.do(back)
         watcher.wait(watcher.recovered)
@@ -399,9 +402,9 @@ def test_what_one_joint_lacks_stops_both_and_so_does_a_controller_that_leaves_ac
     watcher.running()
     robot.do('deactivate')
     watcher.wait_for_mode(actuator_node='fault')
-    said = watcher.modes()['actuator_node'][1]
-    assert said.startswith('axes upper, fore: the controller /effort_controller is ')
-    assert said.endswith(': it takes no commands')
+    reported = watcher.modes()['actuator_node'][1]
+    assert reported.startswith('axes upper, fore: the controller /effort_controller is ')
+    assert reported.endswith(': it takes no commands')
     assert any(robot.held)              # what the forwarding controller leaves behind
     robot.do('activate')                # it has forgotten every command
     watcher.wait(lambda: robot.held == [0.0, 0.0])

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live page's node beside real loops, met by a viewer of the test's own."""
+"""The live page's node beside real loops, met by a viewer of the test's own.
+
+Over 300 lines: the viewer, and what it compares with the recording, serve every test.
+"""
 
 import asyncio
 import json
@@ -130,7 +133,7 @@ def test_a_viewer_gets_what_is_recorded_and_what_it_does_is_recorded(processes, 
                 'bad pulse': await viewer.ask('disturbance_pulse', acceleration='x', duration=1),
                 'huge pulse': await viewer.ask('disturbance_pulse', acceleration=10 ** 400,
                                                duration=1),
-                'nobody': await viewer.ask('activate', node='recorder_node')}
+                'forbidden': await viewer.ask('activate', node='recorder_node')}
             ok = {name for name, answer in answers.items() if answer['ok']}
             assert ok == {'disturbance_pulse', 'zone', 'gain', 'motion'}, answers
             assert 'loop.rate' in answers['fixed']['message']
@@ -210,7 +213,7 @@ def test_an_estop_is_not_undone_by_a_reset_that_was_asked_for_before_it(processe
         async with Viewer(address) as one, Viewer(address) as other:
             await one.until(one.running)
             await other.until(other.running)
-            for stopper in (one, other):        # who asked for the reset, and somebody else
+            for stopper in (one, other):        # the viewer that asked for the reset, and another
                 assert (await one.ask('estop'))['ok']
                 await one.until(lambda: one.texts[-1]['kind'] == 'status')
                 one.number += 1
@@ -242,7 +245,7 @@ def test_nonsense_on_the_topics_does_not_end_the_page(processes, tmp_path):
 
     process, address = start(processes, tmp_path / 'run', '--duration', '600')
 
-    heard = threading.Event()
+    received = threading.Event()
 
     def publish():
         rclpy.init()
@@ -253,17 +256,18 @@ def test_nonsense_on_the_topics_does_not_end_the_page(processes, tmp_path):
             while not publisher.get_subscription_count():
                 assert time.monotonic() < deadline
                 rclpy.spin_once(node, timeout_sec=0.05)
-            for text in said:
+            for text in texts:
                 publisher.publish(String(data=text))
-            heard.wait(TIME_OUT)
+            received.wait(TIME_OUT)
         finally:
             rclpy.shutdown()
 
-    said = ['{"event": "action", "node": "/x", "values": {"a": NaN, "b": [1e400]}, "z": Infinity}',
-            '{"event": "mode", "node": "/x", "mode": "\\ud800", "reason": "\\udfff"}',
-            '{"event": "configuration", "node": "/x", "owns": [{}, []], "configuration": '
-            '{"plant.disturbance_pulse": NaN}}', '[NaN]', '"\\ud800"',
-            '{"event": "last", "node": "/x"}']
+    texts = [
+        '{"event": "action", "node": "/x", "values": {"a": NaN, "b": [1e400]}, "z": Infinity}',
+        '{"event": "mode", "node": "/x", "mode": "\\ud800", "reason": "\\udfff"}',
+        '{"event": "configuration", "node": "/x", "owns": [{}, []], "configuration": '
+        '{"plant.disturbance_pulse": NaN}}', '[NaN]', '"\\ud800"',
+        '{"event": "last", "node": "/x"}']
 
     async def look():
         async with Viewer(address) as viewer:
@@ -273,7 +277,7 @@ def test_nonsense_on_the_topics_does_not_end_the_page(processes, tmp_path):
                 await viewer.until(lambda: any(text.get('event') == 'last'
                                                for text in viewer.texts))
             finally:
-                heard.set()
+                received.set()
                 await publishing
             odd = next(text for text in viewer.texts if text.get('node') == '/x')
             assert odd['values'] == {'a': None, 'b': [None]}

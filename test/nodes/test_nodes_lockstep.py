@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes in lockstep: who waits for whom, what is served meanwhile, on which cores."""
+"""The nodes in lockstep: which waits for which, what is served meanwhile, on which cores."""
 
 import os
 from pathlib import Path
@@ -21,9 +21,9 @@ NAMES = ('plant_node', 'controller_node', 'trajectory_node')
 
 @pytest.fixture
 def loop(processes, operator):
-    """The nodes of a loop without end, by name, heard to run."""
+    """The nodes of a loop without end, by name, received to run."""
     nodes = {name: processes(*NODE, name, *ARGUMENTS) for name in NAMES}
-    operator.wait(lambda: len(operator.heard['state']) > 100)
+    operator.wait(lambda: len(operator.received['state']) > 100)
     return nodes
 
 
@@ -44,7 +44,7 @@ def test_a_node_that_is_gone_ends_the_run_with_its_name(loop):
 
 
 def test_a_trajectory_that_comes_back_goes_on_where_the_loop_is(loop, processes, operator):
-    assert operator.change('/plant_node', 4)    # nobody waits, however long a start takes
+    assert operator.change('/plant_node', 4)    # nothing waits, however long a start takes
     killed = loop.pop('trajectory_node')
     killed.signal(signal.SIGKILL)
     killed.wait()
@@ -53,31 +53,31 @@ def test_a_trajectory_that_comes_back_goes_on_where_the_loop_is(loop, processes,
         return sum(event['node'] == '/trajectory_node' and event['event'] == 'configuration'
                    for event in operator.events)
 
-    before, reached = starts(), operator.heard['state'][-1].data[0]
+    before, reached = starts(), operator.received['state'][-1].data[0]
     loop['trajectory_node'] = processes(*NODE, 'trajectory_node', *ARGUMENTS)
     operator.wait(lambda: starts() > before)
     assert operator.change('/plant_node', 3)
-    operator.wait(lambda: operator.heard['state'][-1].data[0] > reached + 500)
-    used = [message.data for message in operator.heard['terms']]
+    operator.wait(lambda: operator.received['state'][-1].data[0] > reached + 500)
+    used = [message.data for message in operator.received['terms']]
     assert all(data[12] == data[13] for data in used)      # the reference of that very state
     stop(loop)
 
 
 @pytest.mark.parametrize(('name', 'transitions'), [
     ('plant_node', (4, 3)), ('controller_node', (4, 3)), ('controller_node', (4, 2, 1, 3)),
-    ('trajectory_node', (4, 3))], ids=['plant', 'controller', 'controller anew', 'trajectory'])
+    ('trajectory_node', (4, 3))], ids=['plant', 'controller', 'controller again', 'trajectory'])
 def test_a_node_that_was_not_active_for_a_while_goes_on(loop, operator, name, transitions):
     for number in transitions:
         assert operator.change(f'/{name}', number)
-    reached = operator.heard['state'][-1].data[0]
-    operator.wait(lambda: operator.heard['state'][-1].data[0] > reached + 500)
+    reached = operator.received['state'][-1].data[0]
+    operator.wait(lambda: operator.received['state'][-1].data[0] > reached + 500)
     stop(loop)
 
 
 def test_everything_else_is_served_while_messages_come(loop, operator):
     for gain in range(5, 20):
         assert operator.set('/controller_node', controller__k_d=float(gain)).successful
-    assert operator.life('/plant_node') == 'active'
+    assert operator.lifecycle('/plant_node') == 'active'
     press = operator.node.create_publisher(operator.bool, 'estop', rclpy.qos.QoSProfile(
         depth=1, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL))
     press.publish(operator.bool(data=True))
@@ -87,11 +87,11 @@ def test_everything_else_is_served_while_messages_come(loop, operator):
 
 def test_the_time_is_published_as_clock(loop, operator):
     from rosgraph_msgs.msg import Clock
-    heard = []
-    operator.node.create_subscription(Clock, '/clock', heard.append, 10)
-    operator.wait(lambda: len(heard) > 100)
-    times = [message.clock.sec * 10**9 + message.clock.nanosec for message in heard]
-    assert all(time_ns % 5_000_000 == 0 for time_ns in times)      # k T, whatever the wall says
+    received = []
+    operator.node.create_subscription(Clock, '/clock', received.append, 10)
+    operator.wait(lambda: len(received) > 100)
+    times = [message.clock.sec * 10**9 + message.clock.nanosec for message in received]
+    assert all(time_ns % 5_000_000 == 0 for time_ns in times)      # k T, whatever the wall reports
     assert times == sorted(set(times))
     stop(loop)
 

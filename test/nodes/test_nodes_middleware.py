@@ -15,7 +15,7 @@ rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed: nodes canno
 pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
 
 PLANT = ('-m', 'dz_ros.nodes.main', 'plant_node')
-PEERLESS = ('--ros-args', '-p', 'loop.peers:=["nobody"]')
+PEERLESS = ('--ros-args', '-p', 'loop.peers:=["absent_node"]')
 PROFILE, RANGE = 'FASTRTPS_DEFAULT_PROFILES_FILE', 'ROS_AUTOMATIC_DISCOVERY_RANGE'
 SIZE = 400_000
 SPEAKER = f"""
@@ -80,7 +80,7 @@ class Stranger:
 
 @pytest.fixture
 def stranger(request, monkeypatch):
-    """Yield an idle node of somebody else in the discovery range of the test."""
+    """Yield an idle node of another package in the discovery range of the test."""
     for name, value in request.param.items():
         monkeypatch.setenv(name, value)
     found = Stranger()
@@ -102,7 +102,7 @@ def test_a_node_sees_a_stranger_without_shared_memory(stranger, multicast, proce
     stranger.wait(plant, lambda: stranger.events)
     assert stranger.parameter(plant, 'loop.rate').double_value == 200.0
     assert shared_memory(plant.pid) == set()
-    # Who asks everybody in the network listens to their questions as well.
+    # A node that queries the whole network receives its queries as well.
     assert (7400 + 250 * ros_domain in ports(plant.pid)) == multicast
 
 

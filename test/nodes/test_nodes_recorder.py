@@ -67,7 +67,7 @@ def test_a_disk_that_fills_up_and_is_freed_costs_nothing(processes, small_disk):
         assert list(channel['seq']) == list(range(len(channel))), name
 
 
-def test_a_disk_that_stays_full_is_told_and_what_it_holds_is_kept(processes, small_disk, tmp_path):
+def test_a_disk_that_stays_full_is_named_and_what_it_holds_kept(processes, small_disk, tmp_path):
     disk = small_disk('200k')
     run = processes(*disk.enter, *DZ, 'run', *PATIENT, '--record', disk.path / 'run')
     run.wait_for_line('cannot be written: No space left on device')
@@ -93,7 +93,7 @@ def test_a_disk_full_from_the_start_is_one_line(processes, small_disk):
     assert not (disk.outside / 'run').exists()
 
 
-def test_a_run_that_is_removed_is_told_at_once_and_can_be_saved(processes, tmp_path):
+def test_a_run_that_is_removed_is_reported_at_once_and_can_be_saved(processes, tmp_path):
     run = processes(*DZ, 'run', *PATIENT, '--record', tmp_path / 'run')
     goes_on(run, 2)
     shutil.rmtree(tmp_path / 'run')
@@ -110,7 +110,7 @@ def test_a_run_that_is_removed_is_told_at_once_and_can_be_saved(processes, tmp_p
 
 
 @pytest.mark.parametrize('what', ['directory', 'file'])
-def test_a_run_that_is_moved_is_told_and_recorded_where_it_is_now(processes, tmp_path, what):
+def test_a_run_that_is_moved_is_reported_and_recorded_where_it_is_now(processes, tmp_path, what):
     run = processes(*DZ, 'run', *PATIENT, '--record', tmp_path / 'run')
     goes_on(run, 1)
     if what == 'directory':
@@ -168,7 +168,7 @@ def test_a_recorder_that_is_stopped_holds_up_neither_the_loop_nor_its_end(proces
     assert 'cut' not in read_run(tmp_path / 'run').info
 
 
-@pytest.mark.parametrize('target', ['/dev/full', 'a pipe that nobody reads'])
+@pytest.mark.parametrize('target', ['/dev/full', 'a pipe without a reader'])
 def test_output_that_cannot_be_written_does_not_end_the_loop(processes, tmp_path, target):
     words = shlex.join([*DZ, 'run', '--duration', '2', '--record', str(tmp_path / 'run')])
     end = '> /dev/full' if target == '/dev/full' else '| true'

@@ -74,8 +74,8 @@ class Outside:
 
     def running(self):
         self.wait(lambda: self.mode('axis')[0] == self.mode('law')[0] == 'running')
-        heard = len(self.states)
-        self.wait(lambda: len(self.states) > heard + 20)
+        received = len(self.states)
+        self.wait(lambda: len(self.states) > received + 20)
 
     def close(self):
         self.executor.shutdown()

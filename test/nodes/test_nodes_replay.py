@@ -19,28 +19,28 @@ TIME_OUT = 180.0
 CHANNELS = ('reference', 'state', 'command', 'terms', 'truth')
 
 
-class Listener:
-    """A node of the test's own that keeps what it hears."""
+class Subscriber:
+    """A node of the test's own that keeps what it receives."""
 
     def __init__(self):
         self.context = rclpy.Context()
         self.context.init()
-        self.node = rclpy.create_node('listener', context=self.context)
+        self.node = rclpy.create_node('subscriber', context=self.context)
         self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
-        self.heard = {}
+        self.received = {}
 
-    def listen(self, topic, message_type=None, raw=True, depth=5000, **qos):
+    def subscribe(self, topic, message_type=None, raw=True, depth=5000, **qos):
         from std_msgs.msg import Float64MultiArray
-        self.heard[topic] = []
+        self.received[topic] = []
         self.node.create_subscription(message_type or Float64MultiArray, topic,
-                                      self.heard[topic].append,
+                                      self.received[topic].append,
                                       rclpy.qos.QoSProfile(depth=depth, **qos), raw=raw)
 
     def wait(self, condition):
         deadline = time.monotonic() + TIME_OUT
         while not condition():
-            assert time.monotonic() < deadline, 'nothing heard in time'
+            assert time.monotonic() < deadline, 'nothing received in time'
             self.executor.spin_once(timeout_sec=0.1)
 
     def call(self, name):
@@ -60,7 +60,7 @@ class Listener:
             parameters=[rclpy.parameter.Parameter('rate', value=value).to_parameter_msg()])
         return self.ask('/replay_node/set_parameters', SetParameters, request).results[0]
 
-    def tell(self, topic, message):
+    def publish(self, topic, message):
         publisher = self.node.create_publisher(type(message), f'/replay_node/{topic}', 10)
         self.wait(lambda: publisher.get_subscription_count())
         publisher.publish(message)
@@ -72,8 +72,8 @@ class Listener:
 
 
 @pytest.fixture
-def listener(ros_domain):
-    made = Listener()
+def subscriber(ros_domain):
+    made = Subscriber()
     yield made
     made.close()
 
@@ -83,103 +83,103 @@ def payloads(run, channel):
             if message.topic.rpartition('/')[2] == channel]
 
 
-def test_every_byte_is_published_in_order_on_the_recorded_topics(processes, listener, run):
+def test_every_byte_is_published_in_order_on_the_recorded_topics(processes, subscriber, run):
     for name in CHANNELS:
-        listener.listen(f'/{name}')
+        subscriber.subscribe(f'/{name}')
     replay = processes(*DZ, run, '--rate', '2', '--wait-for', *CHANNELS)
     assert replay.wait() == 0, replay.output
-    listener.wait(lambda: all(len(listener.heard[f'/{name}']) == 201 for name in CHANNELS))
+    subscriber.wait(lambda: all(len(subscriber.received[f'/{name}']) == 201 for name in CHANNELS))
     for name in CHANNELS:
-        assert listener.heard[f'/{name}'] == payloads(run, name)
+        assert subscriber.received[f'/{name}'] == payloads(run, name)
     assert '1006 messages' in replay.output
 
 
-def test_events_are_offered_to_late_joiners_as_they_were(processes, listener, run):
+def test_events_are_offered_to_late_joiners_as_they_were(processes, subscriber, run):
     from std_msgs.msg import String
     replay = processes(*DZ, run, '--topics', 'events', 'state', '--loop', '--duration', '0.5')
-    listener.listen('/state')
-    listener.wait(lambda: listener.heard['/state'])
-    listener.listen('/events', String, raw=False,
+    subscriber.subscribe('/state')
+    subscriber.wait(lambda: subscriber.received['/state'])
+    subscriber.subscribe('/events', String, raw=False,
                     durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
-    listener.wait(lambda: listener.heard['/events'])
-    assert listener.heard['/events'][0].data == '{"event": "started"}'
+    subscriber.wait(lambda: subscriber.received['/events'])
+    assert subscriber.received['/events'][0].data == '{"event": "started"}'
     replay.signal(signal.SIGINT)
     assert replay.wait() == 0          # how a loop is meant to end
     assert 'Traceback' not in replay.output
 
 
-def test_names_follow_namespace_and_remapping(processes, listener, run):
-    listener.listen('/again/renamed')
-    listener.listen('/again/command')
+def test_names_follow_namespace_and_remapping(processes, subscriber, run):
+    subscriber.subscribe('/again/renamed')
+    subscriber.subscribe('/again/command')
     replay = processes(*DZ, run, '--namespace', 'again', '--remap', 'state:=renamed',
                        '--wait-for', 'state', 'command', '--rate', '5')
     assert replay.wait() == 0, replay.output
-    listener.wait(lambda: len(listener.heard['/again/renamed']) == 201)
-    assert listener.heard['/again/renamed'] == payloads(run, 'state')
+    subscriber.wait(lambda: len(subscriber.received['/again/renamed']) == 201)
+    assert subscriber.received['/again/renamed'] == payloads(run, 'state')
 
 
-def test_it_is_steered_while_it_plays(processes, listener, run):
+def test_it_is_steered_while_it_plays(processes, subscriber, run):
     from builtin_interfaces.msg import Time
     from std_msgs.msg import Float64, UInt64
-    listener.listen('/state')
-    heard = listener.heard['/state']
+    subscriber.subscribe('/state')
+    received = subscriber.received['/state']
     states = payloads(run, 'state')
     replay = processes(*NODE, '-p', f'run:={run}', '-p', 'topics:=[state]', '-p', 'paused:=true',
                        '-p', 'wait_for:=[state]')
-    answer = listener.call('is_paused')
+    answer = subscriber.call('is_paused')
     assert answer.success
     assert answer.message == 'paused at 0.000000 s'
     for count in (1, 2, 3):
-        assert listener.call('play_next').success
-        listener.wait(lambda count=count: len(heard) == count)
-    assert heard == states[:3]
-    listener.tell('burst', UInt64(data=4))
-    listener.wait(lambda: len(heard) == 7)
-    listener.tell('seek_offset', Float64(data=0.5))
+        assert subscriber.call('play_next').success
+        subscriber.wait(lambda count=count: len(received) == count)
+    assert received == states[:3]
+    subscriber.publish('burst', UInt64(data=4))
+    subscriber.wait(lambda: len(received) == 7)
+    subscriber.publish('seek_offset', Float64(data=0.5))
     replay.wait_for_line('seek to 0.500000 s')
-    assert listener.call('play_next').success
-    listener.wait(lambda: len(heard) == 8)
-    assert heard[7] == states[100]
-    listener.tell('seek', Time(sec=10 ** 9, nanosec=250_000_000))
+    assert subscriber.call('play_next').success
+    subscriber.wait(lambda: len(received) == 8)
+    assert received[7] == states[100]
+    subscriber.publish('seek', Time(sec=10 ** 9, nanosec=250_000_000))
     replay.wait_for_line('seek to 0.250000 s')
-    assert listener.set_rate(0.001).successful
-    refused = listener.set_rate(-1.0)
+    assert subscriber.set_rate(0.001).successful
+    refused = subscriber.set_rate(-1.0)
     assert not refused.successful
     assert 'rate = -1.0' in refused.reason
-    assert not listener.set_rate('fast').successful
-    assert listener.call('resume').success
-    assert not listener.call('is_paused').success
-    assert not listener.call('play_next').success       # it plays
-    listener.wait(lambda: len(heard) == 9)
-    assert heard[8] == states[50]
-    assert listener.call('toggle_paused').message.startswith('paused')
-    assert listener.call('toggle_paused').message.startswith('playing')
-    assert listener.call('pause').success
-    listener.tell('burst', UInt64(data=0))              # all that are left
-    listener.wait(lambda: heard[-1] == states[-1])
-    assert replay.poll() is None                        # paused: somebody may seek
-    assert listener.call('stop').success
+    assert not subscriber.set_rate('fast').successful
+    assert subscriber.call('resume').success
+    assert not subscriber.call('is_paused').success
+    assert not subscriber.call('play_next').success       # it plays
+    subscriber.wait(lambda: len(received) == 9)
+    assert received[8] == states[50]
+    assert subscriber.call('toggle_paused').message.startswith('paused')
+    assert subscriber.call('toggle_paused').message.startswith('playing')
+    assert subscriber.call('pause').success
+    subscriber.publish('burst', UInt64(data=0))              # all that are left
+    subscriber.wait(lambda: received[-1] == states[-1])
+    assert replay.poll() is None                        # paused: an operator may seek
+    assert subscriber.call('stop').success
     assert replay.wait() == 0
     assert 'Traceback' not in replay.output
 
 
-def test_the_time_of_the_recording_is_published_as_clock(processes, listener, run):
+def test_the_time_of_the_recording_is_published_as_clock(processes, subscriber, run):
     from rosgraph_msgs.msg import Clock
-    listener.listen('/clock', Clock, raw=False)
-    listener.listen('/state')
+    subscriber.subscribe('/clock', Clock, raw=False)
+    subscriber.subscribe('/state')
     replay = processes(*DZ, run, '--clock', '100', '--wait-for', 'state')
     assert replay.wait() == 0, replay.output
-    listener.wait(lambda: len(listener.heard['/clock']) > 10)
+    subscriber.wait(lambda: len(subscriber.received['/clock']) > 10)
     times = [message.clock.sec * 10 ** 9 + message.clock.nanosec
-             for message in listener.heard['/clock']]
+             for message in subscriber.received['/clock']]
     assert times == sorted(times)
     assert times[0] >= 10 ** 18
     assert times[-1] < 10 ** 18 + 2 * 10 ** 9
 
 
-def test_two_replays_on_the_same_topics_are_refused(processes, listener, run):
+def test_two_replays_on_the_same_topics_are_refused(processes, subscriber, run):
     first = processes(*DZ, run, '--paused')
-    assert listener.call('is_paused').success
+    assert subscriber.call('is_paused').success
     second = processes(*DZ, run)
     assert second.wait() == 2
     assert 'another replay' in second.output
@@ -244,7 +244,7 @@ def test_message_classes_are_found_by_name():
     assert message_class('../std_msgs/msg/String') is None
 
 
-def test_the_example_in_the_document_says_what_is_printed(processes, tmp_path):
+def test_the_example_in_the_document_reports_what_is_printed(processes, tmp_path):
     document = Path(__file__).parents[2] / 'docs' / 'replay.md'
     section = document.read_text(encoding='utf-8').partition('\n## Replay\n')[2]
     (block,) = re.findall(r'^```console\n(.*?)^```', section, re.DOTALL | re.MULTILINE)
@@ -267,12 +267,12 @@ def rounded(text):
 
 def test_a_type_name_of_a_recording_imports_interfaces_alone(tmp_path, monkeypatch):
     from dz_ros.nodes.parts.recorded_topics import message_class
-    package = tmp_path / 'evil_msgs_of_nobody'
+    package = tmp_path / 'evil_msgs_not_installed'
     (package / 'msg').mkdir(parents=True)
     for folder in (package, package / 'msg'):
         (folder / '__init__.py').write_text(
             f'open({str(tmp_path / "was_imported")!r}, "w").close()\nclass Thing: pass\n')
     monkeypatch.syspath_prepend(tmp_path)
-    assert message_class('evil_msgs_of_nobody/msg/Thing') is None
+    assert message_class('evil_msgs_not_installed/msg/Thing') is None
     assert not (tmp_path / 'was_imported').exists()
     assert message_class('std_msgs/msg/String').__name__ == 'String'

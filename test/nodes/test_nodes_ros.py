@@ -23,25 +23,25 @@ NAMES = ('plant_node', 'controller_node', 'trajectory_node')
 TIME_OUT = 180.0
 
 
-class Listener:
-    """A node of the test's own, of plain typed messages, that keeps what it hears."""
+class Subscriber:
+    """A node of the test's own, of plain typed messages, that keeps what it receives."""
 
     def __init__(self, namespace=''):
         self.context = rclpy.Context()
         self.context.init()
-        self.node = rclpy.create_node('listener', namespace=namespace, context=self.context)
+        self.node = rclpy.create_node('subscriber', namespace=namespace, context=self.context)
         self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
-        self.heard = {}
+        self.received = {}
 
-    def listen(self, topic, message_type, qos=10):
-        self.heard[topic] = []
-        self.node.create_subscription(message_type, topic, self.heard[topic].append, qos)
+    def subscribe(self, topic, message_type, qos=10):
+        self.received[topic] = []
+        self.node.create_subscription(message_type, topic, self.received[topic].append, qos)
 
     def wait(self, condition):
         deadline = time.monotonic() + TIME_OUT
         while not condition():
-            assert time.monotonic() < deadline, 'nothing heard in time'
+            assert time.monotonic() < deadline, 'nothing received in time'
             self.executor.spin_once(timeout_sec=0.1)
 
     def call(self, service, service_type, request):
@@ -58,31 +58,32 @@ class Listener:
 
 
 @pytest.fixture
-def listener(ros_domain):
-    made = Listener()
+def subscriber(ros_domain):
+    made = Subscriber()
     yield made
     made.close()
 
 
-def test_namespaces_remapping_and_labels(processes, listener):
+def test_namespaces_remapping_and_labels(processes, subscriber):
     from std_msgs.msg import Float64MultiArray, String
     for topic in ('/left/renamed', '/left/command', '/left/terms'):
-        listener.listen(topic, Float64MultiArray)
+        subscriber.subscribe(topic, Float64MultiArray)
     durable = rclpy.qos.QoSProfile(
         depth=10, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
-    listener.listen('/left/events', String, durable)
+    subscriber.subscribe('/left/events', String, durable)
     nodes = [processes(*NODE, name, *ARGUMENTS, '-r', '__ns:=/left', '-r', 'state:=renamed',
                        '-p', 'loop.duration:=0.0') for name in NAMES]
-    listener.wait(lambda: all(listener.heard[topic] for topic in listener.heard))
+    subscriber.wait(lambda: all(subscriber.received[topic] for topic in subscriber.received))
     labels = {'/left/renamed': State.labels(2), '/left/command': Command.labels(),
               '/left/terms': Terms.labels(('theta1', 'theta2', 'phi'))}
     for topic, names in labels.items():
-        message = listener.heard[topic][0]
+        message = subscriber.received[topic][0]
         (dimension,) = message.layout.dim
         assert dimension.label == ','.join(names)
         assert dimension.size == dimension.stride == len(message.data) == len(names)
-    listener.wait(lambda: {json.loads(event.data)['node'] for event in
-                           listener.heard['/left/events']} >= {f'/left/{name}' for name in NAMES})
+    subscriber.wait(lambda: {
+        json.loads(event.data)['node'] for event in subscriber.received['/left/events']
+    } >= {f'/left/{name}' for name in NAMES})
     for node in nodes:
         node.signal(signal.SIGINT)
         node.signal(signal.SIGTERM)
@@ -91,16 +92,16 @@ def test_namespaces_remapping_and_labels(processes, listener):
         assert 'Traceback' not in node.output
 
 
-def test_parameters_carry_description_unit_and_range(processes, listener):
+def test_parameters_carry_description_unit_and_range(processes, subscriber):
     from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
     processes(*NODE, 'controller_node', *ARGUMENTS, '-p', 'controller.k_d:=7')
-    listed = listener.call('/controller_node/list_parameters', ListParameters,
+    listed = subscriber.call('/controller_node/list_parameters', ListParameters,
                            ListParameters.Request()).result.names
     assert {'loop.rate', 'plant.model', 'controller.law', 'controller.lambda',
             'controller.theta_0'} <= set(listed)
     assert not [name for name in listed if name.startswith(('trajectory.', 'plant.dead_zone'))]
     names = ['controller.lambda', 'loop.delay', 'controller.law', 'controller.theta_0']
-    described = listener.call('/controller_node/describe_parameters', DescribeParameters,
+    described = subscriber.call('/controller_node/describe_parameters', DescribeParameters,
                               DescribeParameters.Request(names=names)).descriptors
     by_name = {item.name: item for item in described}
     assert '[1/s]' in by_name['controller.lambda'].description
@@ -108,12 +109,12 @@ def test_parameters_carry_description_unit_and_range(processes, listener):
     assert by_name['controller.lambda'].additional_constraints == '> 0'
     assert by_name['loop.delay'].integer_range[0].to_value == 100
     request = GetParameters.Request(names=['controller.k_d', *names])
-    values = listener.call('/controller_node/get_parameters', GetParameters, request).values
+    values = subscriber.call('/controller_node/get_parameters', GetParameters, request).values
     assert values[0].double_value == 7.0     # given as an integer
     assert list(values[4].double_array_value) == [0.85, 0.85]
     changed = SetParameters.Request(parameters=[
         rclpy.parameter.Parameter('loop.delay', value=3).to_parameter_msg()])
-    (result,) = listener.call('/controller_node/set_parameters', SetParameters, changed).results
+    (result,) = subscriber.call('/controller_node/set_parameters', SetParameters, changed).results
     assert not result.successful
 
 
@@ -141,44 +142,44 @@ def test_a_missing_parameter_file_is_one_line(processes, tmp_path):
     assert node.output.count('\n') == 0
 
 
-def test_a_plant_that_nobody_commands_stays_where_it_is(processes, listener):
+def test_a_plant_without_commands_stays_where_it_is(processes, subscriber):
     from std_msgs.msg import Float64MultiArray
-    listener.listen('/state', Float64MultiArray)
+    subscriber.subscribe('/state', Float64MultiArray)
     plant = processes(*NODE, 'plant_node', '--ros-args', '-p', "loop.peers:=['plant_node']")
-    publisher = listener.node.create_publisher(Float64MultiArray, '/command', 10)
-    listener.wait(lambda: len(listener.heard['/state']) >= 3)
-    for message in listener.heard['/state']:
+    publisher = subscriber.node.create_publisher(Float64MultiArray, '/command', 10)
+    subscriber.wait(lambda: len(subscriber.received['/state']) >= 3)
+    for message in subscriber.received['/state']:
         assert list(message.data)[:4] == [0.0, 0.0, -2.5, 3.5]
     answer = Float64MultiArray(data=[0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
     answer.layout.dim.append(rclpy_dimension(','.join(Command.labels()), 6))
     publisher.publish(answer)
-    listener.wait(lambda: listener.heard['/state'][-1].data[0] > 3.0)
+    subscriber.wait(lambda: subscriber.received['/state'][-1].data[0] > 3.0)
     assert plant.interrupt() == 0
 
 
-def test_messages_of_wrong_shape_are_counted_and_ignored(processes, listener):
+def test_messages_of_wrong_shape_are_counted_and_ignored(processes, subscriber):
     from std_msgs.msg import Float64MultiArray
-    listener.listen('/state', Float64MultiArray)
+    subscriber.subscribe('/state', Float64MultiArray)
     plant = processes(*NODE, 'plant_node', '--ros-args', '-p', "loop.peers:=['plant_node']")
-    publisher = listener.node.create_publisher(Float64MultiArray, '/command', 10)
-    listener.wait(lambda: listener.heard['/state'])
+    publisher = subscriber.node.create_publisher(Float64MultiArray, '/command', 10)
+    subscriber.wait(lambda: subscriber.received['/state'])
     publisher.publish(Float64MultiArray(data=[1.0]))
     plant.wait_for_line('command: without names, or not readable (1 so far)')
-    before = len(listener.heard['/state'])
-    listener.wait(lambda: len(listener.heard['/state']) > before + 1)
-    assert listener.heard['/state'][-1].data[0] == 0.0
+    before = len(subscriber.received['/state'])
+    subscriber.wait(lambda: len(subscriber.received['/state']) > before + 1)
+    assert subscriber.received['/state'][-1].data[0] == 0.0
     assert plant.interrupt() == 0
     assert 'Traceback' not in plant.output
 
 
-def test_what_is_ignored_is_in_the_log_and_in_diagnostics_whatever_was_wrong(processes, listener):
+def test_what_is_ignored_is_in_log_and_diagnostics_whatever_was_wrong(processes, subscriber):
     from diagnostic_msgs.msg import DiagnosticArray
     from std_msgs.msg import Float64MultiArray
-    listener.listen('/state', Float64MultiArray)
-    listener.listen('/diagnostics', DiagnosticArray, 100)
+    subscriber.subscribe('/state', Float64MultiArray)
+    subscriber.subscribe('/diagnostics', DiagnosticArray, 100)
     plant = processes(*NODE, 'plant_node', '--ros-args', '-p', "loop.peers:=['plant_node']")
-    publisher = listener.node.create_publisher(Float64MultiArray, '/command', 100)
-    listener.wait(lambda: listener.heard['/state'])
+    publisher = subscriber.node.create_publisher(Float64MultiArray, '/command', 100)
+    subscriber.wait(lambda: subscriber.received['/state'])
     labels = 'seq,stamp,v,echo_seq,echo_stamp,hold'
     no_number = Float64MultiArray(data=[math.nan] * 6)
     no_number.layout.dim = [rclpy_dimension(labels, 6)]
@@ -187,16 +188,16 @@ def test_what_is_ignored_is_in_the_log_and_in_diagnostics_whatever_was_wrong(pro
     kinds = {'command: not finite': no_number, 'command: names of other numbers': other}
 
     def counted(name):
-        return max((int(item.value) for message in listener.heard['/diagnostics']
+        return max((int(item.value) for message in subscriber.received['/diagnostics']
                     for status in message.status for item in status.values
                     if item.key == f'ignored {name}'), default=0)
 
-    # One by one: the loop takes the newest command only, and says its state after each look.
+    # One by one: the loop takes the newest command only, and reports its state after each look.
     while any(counted(name) < 10 for name in kinds):
         for message in kinds.values():
-            heard = len(listener.heard['/state'])
+            received = len(subscriber.received['/state'])
             publisher.publish(message)
-            listener.wait(lambda heard=heard: len(listener.heard['/state']) > heard)
+            subscriber.wait(lambda known=received: len(subscriber.received['/state']) > known)
     for name in kinds:
         plant.wait_for_line(f'{name} (10 so far)')
     assert plant.interrupt() == 0
@@ -205,7 +206,7 @@ def test_what_is_ignored_is_in_the_log_and_in_diagnostics_whatever_was_wrong(pro
     assert '\x1b[31m' not in plant.output
 
 
-def test_a_node_states_all_it_runs_with_many_waypoints_included(processes, listener, tmp_path):
+def test_a_node_states_all_it_runs_with_many_waypoints_included(processes, subscriber, tmp_path):
     from rcl_interfaces.srv import SetParameters
     from std_msgs.msg import String
     c = Configuration.from_flat({
@@ -214,19 +215,19 @@ def test_a_node_states_all_it_runs_with_many_waypoints_included(processes, liste
     write_parameters(c, tmp_path / 'waypoints.yaml')
     latched = rclpy.qos.QoSProfile(depth=20,
                                    durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
-    listener.listen('/events', String, latched)
+    subscriber.subscribe('/events', String, latched)
     processes(*NODE, 'controller_node', '--ros-args', '--params-file', tmp_path / 'waypoints.yaml')
 
     def stated():
-        found = [json.loads(message.data) for message in listener.heard['/events']]
+        found = [json.loads(message.data) for message in subscriber.received['/events']]
         return [item['configuration'] for item in found if item['event'] == 'configuration']
 
-    listener.wait(stated)
+    subscriber.wait(stated)
     changed = SetParameters.Request(parameters=[
         rclpy.parameter.Parameter('controller.lambda', value=1.1).to_parameter_msg()])
-    (result,) = listener.call('/controller_node/set_parameters', SetParameters, changed).results
+    (result,) = subscriber.call('/controller_node/set_parameters', SetParameters, changed).results
     assert result.successful, result.reason
-    listener.wait(lambda: len(stated()) == 2)
+    subscriber.wait(lambda: len(stated()) == 2)
     assert stated() == [c.to_flat(), c.replace(**{'controller.lambda': 1.1}).to_flat()]
 
 
@@ -235,24 +236,24 @@ def rclpy_dimension(label, size):
     return MultiArrayDimension(label=label, size=size, stride=size)
 
 
-def test_a_recorder_the_loop_waits_for_listens_after_those_in_a_hurry(
-        processes, listener, tmp_path):
+def test_a_recorder_the_loop_waits_for_subscribes_after_those_in_a_hurry(
+        processes, subscriber, tmp_path):
     from std_msgs.msg import Float64MultiArray
     peers = "['controller_node', 'trajectory_node', 'recorder_node']"
     processes(*NODE, 'recorder_node', *ARGUMENTS, '-p', f'directory:={tmp_path / "run"}', '-p',
               f'loop.peers:={peers}')
 
-    def heard_by(topic):
+    def received_by(topic):
         return {info.node_name for info in
-                listener.node.get_subscriptions_info_by_topic(f'/{topic}')}
+                subscriber.node.get_subscriptions_info_by_topic(f'/{topic}')}
 
-    listener.wait(lambda: 'recorder_node' in heard_by('terms'))     # nobody else hears those
-    assert 'recorder_node' not in heard_by('state')
-    others = [rclpy.create_node(name, context=listener.context)
+    subscriber.wait(lambda: 'recorder_node' in received_by('terms'))
+    assert 'recorder_node' not in received_by('state')
+    others = [rclpy.create_node(name, context=subscriber.context)
               for name in ('controller_node', 'trajectory_node')]
     for node in others:
-        assert 'recorder_node' not in heard_by('state')
+        assert 'recorder_node' not in received_by('state')
         node.create_subscription(Float64MultiArray, 'state', print, 1)
-    listener.wait(lambda: 'recorder_node' in heard_by('state'))
+    subscriber.wait(lambda: 'recorder_node' in received_by('state'))
     for node in others:
         node.destroy_node()

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Managed nodes as an operator meets them: transitions, e-stop, reset, watchdogs, live gains."""
+"""Managed nodes as an operator meets them: transitions, e-stop, reset, watchdogs, live gains.
+
+Over 300 lines: all of it operates the same loop by the same services.
+"""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -36,7 +39,7 @@ def loop(processes, operator):
     """Return node name → process of a loop that runs, and the operator."""
     nodes = {name: start(processes, name) for name in NAMES}
     operator.wait_for_mode(plant_node='running', controller_node='running')
-    operator.wait(lambda: len(operator.heard['state']) > 50)
+    operator.wait(lambda: len(operator.received['state']) > 50)
     return nodes
 
 
@@ -45,7 +48,7 @@ def start(processes, name, *more):
 
 
 def held(truth):
-    """Return the command the actuator holds, by what the plant says of its dead-zone, m = 1."""
+    """Return the command the actuator holds, by what the plant reports of its dead-zone, m = 1."""
     return truth.data[2] - truth.data[3]
 
 
@@ -55,19 +58,19 @@ def test_a_killed_controller_leaves_the_safe_command_within_three_samples(
     loop['controller_node'].wait()
     operator.wait_for_mode(plant_node='fault')
     assert operator.modes()['plant_node'] == ('fault', 'no command')
-    operator.wait(lambda: held(operator.heard['truth'][-1]) == 0.0)
-    last = operator.heard['command'][-1].data
-    released = next(message.data[1] for message in operator.heard['truth']
+    operator.wait(lambda: held(operator.received['truth'][-1]) == 0.0)
+    last = operator.received['command'][-1].data
+    released = next(message.data[1] for message in operator.received['truth']
                     if held(message) == 0.0 and message.data[1] > last[1])
     # The last command arrived within a sample or so of its stamp; the hold is three.
     assert released - last[1] < 6 * 0.005
     start(processes, 'controller_node')
-    heard = len(operator.heard['command'])
-    operator.wait(lambda: len(operator.heard['command']) > heard + 20)
+    received = len(operator.received['command'])
+    operator.wait(lambda: len(operator.received['command']) > received + 20)
     assert operator.call('plant_node/reset').success
-    operator.call('controller_node/reset')      # if it was not heard for so long that it gave up
+    operator.call('controller_node/reset')      # if it received nothing until it gave up
     operator.wait_for_mode(plant_node='running', controller_node='running')
-    operator.wait(lambda: held(operator.heard['truth'][-1]) != 0.0)
+    operator.wait(lambda: held(operator.received['truth'][-1]) != 0.0)
 
 
 def test_estop_by_topic_stops_both_ends_and_only_their_resets_release_it(loop, operator):
@@ -75,11 +78,11 @@ def test_estop_by_topic_stops_both_ends_and_only_their_resets_release_it(loop, o
         depth=1, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL))
     publisher.publish(operator.bool(data=True))
     operator.wait_for_mode(plant_node='estop', controller_node='estop')
-    operator.wait(lambda: operator.heard['command'][-1].data[2] == 0.0)
-    heard = len(operator.heard['terms'])
-    operator.wait(lambda: len(operator.heard['terms']) > heard + 20)
-    terms = [message.data for message in operator.heard['terms'][-10:]]
-    labels = operator.heard['terms'][-1].layout.dim[0].label.split(',')
+    operator.wait(lambda: operator.received['command'][-1].data[2] == 0.0)
+    received = len(operator.received['terms'])
+    operator.wait(lambda: len(operator.received['terms']) > received + 20)
+    terms = [message.data for message in operator.received['terms'][-10:]]
+    labels = operator.received['terms'][-1].layout.dim[0].label.split(',')
     assert labels[:12] == list(Terms.labels(())[:12])
     assert {data[labels.index('status')] for data in terms} == {float(Status.INACTIVE)}
     assert len({tuple(data[14:]) for data in terms}) == 1       # estimates stand still
@@ -96,15 +99,15 @@ def test_ends_that_poll_serve_estop_and_services_all_the_same(processes, operato
     for name in NAMES:
         start(processes, name, '-p', 'process.poll:=both')
     operator.wait_for_mode(plant_node='running', controller_node='running')
-    operator.wait(lambda: len(operator.heard['state']) > 50)
+    operator.wait(lambda: len(operator.received['state']) > 50)
     for name in NAMES[:2]:
         assert operator.call(f'{name}/estop').success
     operator.wait_for_mode(plant_node='estop', controller_node='estop')
-    operator.wait(lambda: held(operator.heard['truth'][-1]) == 0.0)
+    operator.wait(lambda: held(operator.received['truth'][-1]) == 0.0)
     for name in NAMES[:2]:
         operator.wait(lambda name=name: operator.call(f'{name}/reset').success)
     operator.wait_for_mode(plant_node='running', controller_node='running')
-    operator.wait(lambda: held(operator.heard['truth'][-1]) != 0.0)
+    operator.wait(lambda: held(operator.received['truth'][-1]) != 0.0)
 
 
 def test_estop_and_reset_from_the_command_line(processes, loop, operator):
@@ -137,10 +140,10 @@ def test_bad_messages_reach_neither_actuator_nor_estimates(loop, operator):
             publishers[topic].publish(message(operator, labels, [bad]))
             publishers[topic].publish(message(operator, ('nonsense', *labels), [bad] * 9))
             publishers[topic].publish(operator.array(data=[bad]))
-    heard = len(operator.heard['state'])
-    operator.wait(lambda: len(operator.heard['state']) > heard + 100)
+    received = len(operator.received['state'])
+    operator.wait(lambda: len(operator.received['state']) > received + 100)
     for topic in ('terms', 'truth'):
-        for item in operator.heard[topic][-100:]:
+        for item in operator.received[topic][-100:]:
             assert all(map(math.isfinite, item.data))
     operator.wait_for_mode(plant_node='running', controller_node='running')
     for node in loop.values():
@@ -148,7 +151,7 @@ def test_bad_messages_reach_neither_actuator_nor_estimates(loop, operator):
         assert 'Traceback' not in node.output
 
 
-def test_requests_that_rclpy_cannot_read_are_refused_and_end_nobody(loop, operator):
+def test_requests_that_rclpy_cannot_read_are_refused_and_end_no_node(loop, operator):
     from rcl_interfaces.msg import Parameter, ParameterValue
     from rcl_interfaces.srv import SetParameters
     parameters = [Parameter(name='controller.k_d', value=ParameterValue(type=77))]
@@ -159,7 +162,7 @@ def test_requests_that_rclpy_cannot_read_are_refused_and_end_nobody(loop, operat
             result = getattr(answer, 'result', None) or answer.results[0]
             assert not result.successful
             assert result.reason.startswith('a request that cannot be understood: ValueError: 77')
-        assert operator.life(node) == 'active'
+        assert operator.lifecycle(node) == 'active'
     for node in loop.values():
         assert node.poll() is None
         assert 'Traceback' not in node.output
@@ -181,7 +184,7 @@ def test_two_controllers_are_a_fault_at_the_actuator(processes, loop, operator):
     deadline = time.monotonic() + TIME_OUT
     while operator.modes()['plant_node'][0] != 'fault':
         assert time.monotonic() < deadline
-        state = operator.heard['state'][-1].data
+        state = operator.received['state'][-1].data
         publisher.publish(message(operator, labels, [3.0, state[1], 5.0, state[0], state[1], 0.0]))
         operator.executor.spin_once(timeout_sec=0.01)
     assert operator.modes()['plant_node'][1] == '2 publishers of commands'
@@ -199,9 +202,9 @@ def test_gains_and_limits_change_while_it_runs_structure_does_not(loop, operator
                             safety__command_limit=50.0).successful
         operator.wait(lambda: stated(gain))
         event = stated(gain)[0]
-        operator.wait(lambda: operator.heard['terms'][-1].data[0] > event['seq'] + 20)
+        operator.wait(lambda: operator.received['terms'][-1].data[0] > event['seq'] + 20)
         first = None
-        for item in operator.heard['terms']:
+        for item in operator.received['terms']:
             seq, s, damping = item.data[0], item.data[2], item.data[5]
             if event['seq'] - 20 <= seq < event['seq'] + 20 and item.data[11] == 0.0:
                 assert damping == -(gain if seq >= event['seq'] else earlier) * s
@@ -212,9 +215,10 @@ def test_gains_and_limits_change_while_it_runs_structure_does_not(loop, operator
             return False
         names = first.layout.dim[0].label.split(',')
         law = Configuration.from_flat(event['configuration'], driven=False).law
-        # Said anew where an update was taken back, as its answer came too late to count.
-        said = [other['memory'] for other in stated(gain) if other['seq'] == event['seq']]
-        assert list(law.memory_from_signals(first.data[names.index('echo_seq') + 1:])) == said[-1]
+        # Reported again where an update was taken back, as its answer came too late to count.
+        reported = [other['memory'] for other in stated(gain) if other['seq'] == event['seq']]
+        signals = first.data[names.index('echo_seq') + 1:]
+        assert list(law.memory_from_signals(signals)) == reported[-1]
         return True
 
     operator.wait(lambda: any(event['event'] == 'configuration' for event in operator.events))
@@ -234,20 +238,21 @@ def test_gains_and_limits_change_while_it_runs_structure_does_not(loop, operator
 
 
 def test_standard_transitions_and_bumpless_activation(loop, operator):
-    assert operator.life('/controller_node') == 'active'
+    assert operator.lifecycle('/controller_node') == 'active'
     assert operator.change('/controller_node', 4)       # deactivate
-    assert operator.life('/controller_node') == 'inactive'
+    assert operator.lifecycle('/controller_node') == 'inactive'
     operator.wait_for_mode(plant_node='waiting')
-    operator.wait(lambda: [item.data[2] for item in operator.heard['command'][-5:]] == [0.0] * 5)
+    operator.wait(lambda: [item.data[2] for item in operator.received['command'][-5:]] == [
+        0.0] * 5)
     assert not operator.change('/controller_node', 1)   # configure: not possible now
     assert loop['controller_node'].poll() is None
     assert operator.set('controller_node', safety__rate_limit=20.0).successful
-    heard = len(operator.heard['command'])
+    received = len(operator.received['command'])
     assert operator.change('/controller_node', 3)       # activate
     operator.wait_for_mode(plant_node='running', controller_node='running')
-    operator.wait(lambda: len(operator.heard['command']) > heard + 100)
-    v = [0.0, *(item.data[2] for item in operator.heard['command'][heard:])]
-    stamps = [item.data[1] for item in operator.heard['command'][heard:]]
+    operator.wait(lambda: len(operator.received['command']) > received + 100)
+    v = [0.0, *(item.data[2] for item in operator.received['command'][received:])]
+    stamps = [item.data[1] for item in operator.received['command'][received:]]
     for k in range(len(stamps) - 1):
         if v[k + 2] == 0.0:         # a stalled machine: the safe command comes at once
             continue
@@ -262,9 +267,9 @@ def test_standard_transitions_and_bumpless_activation(loop, operator):
 
 def test_a_node_that_is_not_to_start_by_itself_waits_for_its_manager(processes, operator):
     node = start(processes, 'controller_node', '-p', 'autostart:=false')
-    assert operator.life('/controller_node') == 'unconfigured'
+    assert operator.lifecycle('/controller_node') == 'unconfigured'
     assert operator.change('/controller_node', 1)
-    assert operator.life('/controller_node') == 'inactive'
+    assert operator.lifecycle('/controller_node') == 'inactive'
     assert operator.change('/controller_node', 6)       # shutdown while inactive
     assert node.wait() == 0, node.output
 
@@ -304,7 +309,7 @@ def test_a_limited_run_is_reproduced_bit_for_bit_by_its_audit(processes, tmp_pat
     frozen = data.channels['terms']['status'] == float(Status.SATURATED)
     assert frozen.any()
     assert np.all(data.channels['terms']['dt'][frozen] == 0.0)
-    # A command that is not what the gate lets through is found.
+    # A command that is not what the command limiter applies is found.
     k = int(np.flatnonzero(frozen)[0])
     values = data.channels['command'].values.copy()
     values[k, 2] += 1e-12
@@ -312,22 +317,22 @@ def test_a_limited_run_is_reproduced_bit_for_bit_by_its_audit(processes, tmp_pat
     assert not audit(data).passed
 
 
-def test_diagnostics_say_what_is_wrong(loop, operator):
+def test_diagnostics_report_what_is_wrong(loop, operator):
     from diagnostic_msgs.msg import DiagnosticArray
-    said = {}
+    reported = {}
 
     def keep(array):
         for status in array.status:
-            said[status.name] = status
+            reported[status.name] = status
 
     operator.node.create_subscription(DiagnosticArray, '/diagnostics', keep, 10)
-    operator.wait(lambda: set(said) == {f'/{name}' for name in NAMES})
-    values = {item.key: item.value for item in said['/controller_node'].values}
+    operator.wait(lambda: set(reported) == {f'/{name}' for name in NAMES})
+    values = {item.key: item.value for item in reported['/controller_node'].values}
     assert {'rate [Hz]', 'period p99 [ms]', 'state to command p99 [ms]', 'max |s|/epsilon',
             'variation of v over the expected', 'frozen: saturated [samples]'} <= set(values)
     assert float(values['rate [Hz]']) > 50.0
-    assert said['/plant_node'].hardware_id
+    assert reported['/plant_node'].hardware_id
     operator.call('plant_node/estop')
-    operator.wait(lambda: said['/plant_node'].level == b'\x02'
-                  and said['/controller_node'].level == b'\x02')
-    assert 'estop: e-stop by service' in said['/plant_node'].message
+    operator.wait(lambda: reported['/plant_node'].level == b'\x02'
+                  and reported['/controller_node'].level == b'\x02')
+    assert 'estop: e-stop by service' in reported['/plant_node'].message

@@ -54,7 +54,7 @@ def voltage(watcher, reports):
         else ReliabilityPolicy.BEST_EFFORT)) for reliable in (True, False)}
 
     def used():
-        return [message.data[-1] for message in watcher.heard['terms'][-1:]]
+        return [message.data[-1] for message in watcher.received['terms'][-1:]]
 
     def in_use(value):
         return used() == [value] and all(
@@ -62,10 +62,10 @@ def voltage(watcher, reports):
             for node in ('plant_node', 'controller_node'))
 
     def held(value):
-        first = watcher.heard['terms'][-1].data[0]
-        watcher.wait(lambda: watcher.heard['terms'][-1].data[0] > first + 100)
-        # The samples after the last command that was heard may have the next voltage.
-        give.spans.append((value, first, watcher.heard['terms'][-1].data[0] - 5))
+        first = watcher.received['terms'][-1].data[0]
+        watcher.wait(lambda: watcher.received['terms'][-1].data[0] > first + 100)
+        # The samples after the last command that was received may have the next voltage.
+        give.spans.append((value, first, watcher.received['terms'][-1].data[0] - 5))
 
     def give(value, expected=None, reliable=True):
         wanted = value if expected is None else expected

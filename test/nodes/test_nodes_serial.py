@@ -21,7 +21,7 @@ NODE = ('-m', 'dz_ros.nodes.main')
 def loop(serial_device, processes, watcher):
     """Return a function that starts device and loop and returns them once the loop runs.
 
-    `wait=False`: at once; on a busy machine a fault of the device may come before all is heard.
+    `wait=False`: at once; on a busy machine a fault of the device may come before all is received.
     """
     def start(*faults, silence='3.0', wait=True, **driver):
         started = serial_device(*faults)
@@ -82,9 +82,9 @@ def test_the_adaptive_loop_tracks_through_the_line(loop, watcher):
 def test_a_fault_of_the_device_is_latched_and_a_reset_goes_on(loop, watcher, fault, reason):
     device, nodes = loop(fault, silence='0.3', wait=False)
     watcher.wait_for_mode(actuator_node='fault')
-    # Whichever of the limits is the first to see that nothing comes may say so.
-    said = watcher.modes()['actuator_node'][1]
-    assert reason in said or 'no measurement for' in said or 'sent nothing' in said
+    # Whichever of the limits is the first to see that nothing comes may report it.
+    reported = watcher.modes()['actuator_node'][1]
+    assert reason in reported or 'no measurement for' in reported or 'sent nothing' in reported
     device.wait_for_line(f'{fault.partition("@")[0]} ends')
     watcher.wait(watcher.recovered)
     watcher.wait_for_mode(actuator_node='running', controller_node='running')
@@ -101,17 +101,17 @@ def test_a_fault_of_the_device_is_latched_and_a_reset_goes_on(loop, watcher, fau
     ('unsent@3+1', 'which was not sent to it'),
     ('mode@3+1', 'is in mode safe, asked for run'),
 ])
-def test_a_device_that_lies_or_hears_nothing_gets_no_power_before_a_reset(loop, watcher, fault,
+def test_a_device_that_lies_or_receives_nothing_gets_no_power_before_a_reset(loop, watcher, fault,
                                                                           reason):
     device, nodes = loop(fault, silence='1.0', wait=False, watchdog='0.1', fresh='20.0')
     name = fault.partition('@')[0]
     device.wait_for_line(f'{name} begins')
     watcher.wait_for_mode(actuator_node='fault')
     stopped = len(device.output.splitlines())
-    said = watcher.modes()['actuator_node'][1]
+    reported = watcher.modes()['actuator_node'][1]
     # On a busy machine a stall may be the first that is seen.
-    assert any(text in said for text in (reason, 'has tripped', 'no measurement', 'no command',
-                                         'sent nothing', 'does not run again')), said
+    assert any(text in reported for text in (reason, 'has tripped', 'no measurement', 'no command',
+                                             'sent nothing', 'does not run again')), reported
     device.wait_for_line(f'{name} ends')
     seen = len(watcher.states)
     watcher.wait(lambda: len(watcher.states) > seen + 100)
@@ -152,14 +152,14 @@ def test_a_killed_actuator_node_leaves_a_device_that_another_one_can_take(
     nodes['actuator_node'].signal(9)
     nodes['actuator_node'].wait()
     # The port is free again, and another one greets the device and goes on.
-    heard, started = len(watcher.states), []
+    received, started = len(watcher.states), []
 
     def taken():
-        # A machine that does not let the device answer in time ends it: once more.
+        # A machine that does not let the device answer in time ends it: again.
         if not started or started[-1].poll() == 2:
             started.append(processes(*nodes['actuator_node'].command))
         # On a busy machine it comes so late that the controller has given up.
-        return watcher.recovered() and len(watcher.states) > heard + 20
+        return watcher.recovered() and len(watcher.states) > received + 20
 
     watcher.wait(taken)
     assert started[-1].interrupt() == 0
@@ -217,10 +217,11 @@ def test_three_axes_track_through_one_line(machine, watcher):
 def test_a_trip_of_one_motor_stops_all_and_names_its_axis(machine, watcher):
     device, nodes = machine('tilt:trip@3+2')
     watcher.wait_for_mode(actuator_node='fault')
-    said = watcher.modes()['actuator_node'][1]
+    reported = watcher.modes()['actuator_node'][1]
     # On a busy machine a stall may be the first that is seen.
-    assert said == 'axis tilt: the device reports fault 7' or any(text in said for text in (
-        'has tripped', 'no measurement', 'no command', 'sent nothing')), said
+    assert reported == 'axis tilt: the device reports fault 7' or any(
+        text in reported for text in ('has tripped', 'no measurement', 'no command',
+                                      'sent nothing')), reported
     device.wait_for_line('trip ends')
     lines = device.output.splitlines()
     begun = next(at for at, line in enumerate(lines) if 'trip begins' in line)
@@ -239,8 +240,8 @@ def test_a_device_that_dies_stops_every_axis_until_the_reset(machine, serial_dev
     device.signal(9)
     device.wait()
     watcher.wait_for_mode(actuator_node='fault', controller_node='fault')
-    said = watcher.modes()['actuator_node'][1]
-    assert 'axes pan, tilt, roll: ' in said
+    reported = watcher.modes()['actuator_node'][1]
+    assert 'axes pan, tilt, roll: ' in reported
     serial_device.port.unlink()         # what it left behind
     again = serial_device('restart@1000', motors=3)     # the script makes it log its modes
     again.wait_for_line('mode disabled')

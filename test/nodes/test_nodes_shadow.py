@@ -50,7 +50,7 @@ def test_a_live_controller_repeats_a_real_time_run_too(processes, tmp_path):
     assert found['command']['largest'] == 0.0
 
 
-def test_a_controller_that_differs_is_told_by_sample_and_term(processes, run, tmp_path):
+def test_a_controller_that_differs_is_reported_by_sample_and_term(processes, run, tmp_path):
     shadow = processes(*DZ, run, '--into', 'controller', '--set', 'controller.k_d=9')
     assert shadow.wait() == 1, shadow.output
     assert 'first command beyond 0: seq 0, t = 0 s' in shadow.output

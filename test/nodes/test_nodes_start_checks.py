@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The controller refuses what the design rules call an error, unless told otherwise."""
+"""The controller refuses what the design rules call an error, unless overridden."""
 
 import pytest
 
@@ -16,12 +16,12 @@ from dz_ros.report.guarantee import guarantee  # noqa: E402
 from dz_ros.report.view import View  # noqa: E402
 
 
-class Listener:
+class Subscriber:
     """Stands for a node: keeps what is logged."""
 
     def __init__(self):
         self.lines = []
-        self.told = []
+        self.logged = []
 
     def get_logger(self):
         return self
@@ -30,11 +30,11 @@ class Listener:
         self.lines.append(text)
 
     def info(self, text):
-        self.told.append(text)
+        self.logged.append(text)
 
 
 def start(**values):
-    node = Listener()
+    node = Subscriber()
     log(node, refuse_bad_design(Configuration.from_flat(values)))
     return node.lines
 
@@ -44,30 +44,30 @@ def test_a_sound_design_has_nothing_to_warn_of():
 
 
 def test_the_start_has_one_line_on_a_sound_design():
-    node = Listener()
+    node = Subscriber()
     log(node, refuse_bad_design(Configuration.from_flat({'plant.noise': [1e-3, 1e-2]})))
-    assert node.told == [
+    assert node.logged == [
         'design rules, assumptions: holds: (A1), (A2), (A3), (A4), input gain, reference; stated: '
         'state, structure; k* = 2.5 covers the dead-zone (rho/m_min = 1.029) and a disturbance of '
         'up to 1.25; details: dz check']
 
 
 def test_an_assumption_that_is_not_met_has_its_own_line():
-    node = Listener()
+    node = Subscriber()
     log(node, refuse_bad_design(Configuration.from_flat({'plant.dead_zone.b_r': 0.7})))
-    assert '(A4)' not in node.told[0]
+    assert '(A4)' not in node.logged[0]
     assert [line for line in node.lines if 'design rule (A4): violated' in line] == node.lines
-    device = Listener()
+    device = Subscriber()
     log(device, refuse_bad_design(load_configuration('serial')))
-    assert 'stated: (A2), (A3), (A4), state, structure, input gain' in device.told[0]
+    assert 'stated: (A2), (A3), (A4), state, structure, input gain' in device.logged[0]
 
 
 def test_a_slope_with_which_the_loop_is_lost_refuses():
-    node = Listener()
+    node = Subscriber()
     steep = Configuration.from_flat({'controller.lambda': 9.0})
     with pytest.raises(ConfigurationError, match=r'λ = 9; from this .* loop is lost; lower'):
         log(node, refuse_bad_design(steep))
-    assert node.told == node.lines == []        # the refusal is all there is to read
+    assert node.logged == node.lines == []        # the refusal is all there is to read
     line, = start(**{'controller.lambda': 9.0, 'controller.override_checks': True})
     assert 'λ (overridden error)' in line
 
@@ -75,10 +75,10 @@ def test_a_slope_with_which_the_loop_is_lost_refuses():
 def test_gains_set_while_the_loop_runs_wait_for_no_simulation(monkeypatch):
     monkeypatch.setattr('dz_ros.nodes.parts.start_checks.lost_from_start',
                         lambda _: pytest.fail('ran'))
-    node = Listener()
+    node = Subscriber()
     steep = Configuration.from_flat({'controller.lambda': 9.0})
     log(node, refuse_bad_design(steep, starting=False))
-    assert node.told == node.lines == []
+    assert node.logged == node.lines == []
     with pytest.raises(ConfigurationError, match='does not cover'):
         log(node, refuse_bad_design(Configuration.from_flat({'controller.k_star': 1.0}), False))
 
@@ -118,7 +118,7 @@ def test_a_warning_is_logged_with_what_to_change():
     assert 'raise k*' in line
 
 
-def test_an_error_refuses_and_says_how_to_override():
+def test_an_error_refuses_and_reports_how_to_override():
     with pytest.raises(ConfigurationError, match=r'k\* = 1 does not cover.*override_checks: true'):
         start(**{'controller.k_star': 1.0})
 
@@ -130,8 +130,8 @@ def test_an_override_starts_and_is_part_of_the_configuration():
     assert Configuration.from_flat(values).to_flat()['controller.override_checks'] is True
 
 
-def test_a_warning_is_said_once_however_often_parameters_are_set():
-    node = Listener()
+def test_a_warning_is_reported_once_however_often_parameters_are_set():
+    node = Subscriber()
     c = Configuration.from_flat({'controller.k_star': 1.5, 'plant.a3': 1.0})
     design = DesignLog(node)
     design.judge(c)
@@ -144,28 +144,28 @@ def test_a_warning_is_said_once_however_often_parameters_are_set():
             design.judge(c, starting=False)
             design.log()
     assert node.lines == warned
-    told = len(node.told)
+    logged = len(node.logged)
     design.judge(c.replace(**{'controller.k_star': 1.6}), starting=False)
     design.log()        # other numbers of the same warning
     assert node.lines == warned
-    assert '1.6' in ''.join(node.told[told:])
+    assert '1.6' in ''.join(node.logged[logged:])
     for k_star in (2.6, 1.5):       # cured, then back
         design.judge(c.replace(**{'controller.k_star': k_star}), starting=False)
         design.log()
     assert len(node.lines) == len(warned) + 1
 
 
-def test_a_warning_of_what_is_not_used_is_not_said():
-    node = Listener()
+def test_a_warning_of_what_is_not_used_is_not_reported():
+    node = Subscriber()
     design = DesignLog(node)
     with pytest.raises(ConfigurationError):
         design.judge(Configuration.from_flat({'controller.k_star': 0.1}), starting=False)
     design.log()
-    assert node.lines == node.told == []
+    assert node.lines == node.logged == []
 
 
 def test_the_recommended_configuration_starts_without_a_warning():
-    node = Listener()
+    node = Subscriber()
     log(node, refuse_bad_design(load_configuration('robust')))
     assert node.lines == []
-    assert len(node.told) == 1
+    assert len(node.logged) == 1

@@ -13,10 +13,10 @@ pytestmark = [pytest.mark.ros, pytest.mark.usefixtures('ros_domain')]
 
 ROOT = Path(__file__).parents[2]
 DZ = ('-m', 'dz_ros')
-MOST = 20_000
+MAX_SIGNALS = 20_000
 """Signals sent to one process at most."""
 READY = {
-    'plant_node': ('waiting for', '-p', 'loop.peers:=["nobody"]'),
+    'plant_node': ('waiting for', '-p', 'loop.peers:=["absent_node"]'),
     'controller_node': ('design rule',),
     'trajectory_node': ('waiting for', '-p', 'loop.peers:=["controller_node"]'),
     'live_node': ('http://', '-p', 'port:=0'),
@@ -24,8 +24,8 @@ READY = {
 
 
 def bombard(process, number, pause):
-    """Send a signal again and again, until the process has ended, or `MOST` have been sent."""
-    for _ in range(MOST):
+    """Send a signal again and again, until the process has ended, or many have been sent."""
+    for _ in range(MAX_SIGNALS):
         if process.poll() is not None:
             return
         process.signal(number)
@@ -74,10 +74,10 @@ HOMES = [{'HOME': None}, {'HOME': ''}, {'HOME': '/dev/null'}, {'ROS_LOG_DIR': '/
 
 
 @pytest.mark.parametrize('environment', HOMES, ids=str)
-def test_without_a_folder_for_log_files_a_node_says_what_to_set_and_goes_on(processes,
+def test_without_a_folder_for_log_files_a_node_reports_what_to_set_and_goes_on(processes,
                                                                             environment):
     node = processes('-m', 'dz_ros.nodes.main', 'plant_node', '--ros-args', '-p',
-                     'loop.peers:=["nobody"]', **{'ROS_LOG_DIR': None, **environment})
+                     'loop.peers:=["absent_node"]', **{'ROS_LOG_DIR': None, **environment})
     node.wait_for_line('waiting for')
     assert node.interrupt() == 0
     assert 'ROS_LOG_DIR' in node.output.splitlines()[0]
@@ -88,7 +88,7 @@ def test_without_a_folder_for_log_files_a_node_says_what_to_set_and_goes_on(proc
 
 @pytest.mark.parametrize('words', [('run', '--duration', '0.5', '--quiet'), ('estop',),
                                    ('status', '--once')], ids=' '.join)
-def test_without_a_home_a_verb_does_its_work_and_says_so_in_one_line(processes, words):
+def test_without_a_home_a_verb_does_its_work_and_reports_it_in_one_line(processes, words):
     verb = processes(*DZ, *words, HOME=None, ROS_LOG_DIR=None)
     code = verb.wait()
     assert (code == 0) == (words[0] == 'run'), verb.output      # the others find no loop

@@ -24,7 +24,7 @@ MakeRun = Callable[..., RunData]
 
 @pytest.fixture
 def make_run() -> MakeRun:
-    """Return a maker of runs of so many samples at 200 Hz, every number different."""
+    """Return a maker of runs of this number of samples at 200 Hz, every number different."""
 
     def make(samples: int = 400, names: tuple[str, ...] = tuple(LABELS), seed: int = 0) -> RunData:
         generator = np.random.default_rng(seed)

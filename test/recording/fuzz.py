@@ -9,13 +9,15 @@ recover, by the page, and as arrays. What must hold:
 
     exit code 0, 1 or 2, one line of error at most with 2, no traceback
     memory grows by less than `MEMORY`, CPU time under `HANG`
-    what is read are rows, events and configuration of the original, or the reading says that it is
-    cut off or damaged
+    what is read are rows, events and configuration of the original, or the reading notes that it
+    is cut off or damaged
 
-Files without checksums, and chunks that were altered before theirs was made, say themselves what
+Files without checksums, and chunks that were altered before theirs was made, are themselves what
 they hold: what is read of them are the rows that another reader (mcap's or SQLite's own, rosbags
-for the messages) finds there, all of them where nothing is said. An input that breaks one of these
-is kept in FOLDER and its seed printed.
+for the messages) finds there, all of them where nothing is reported. An input that breaks one of
+these is kept in FOLDER and its seed printed.
+
+Over 300 lines: making inputs, altering them and judging what is read follow from one seed.
 """
 
 from __future__ import annotations
@@ -66,8 +68,8 @@ WORDS = (b'\x00', b'\xff', b'\xff' * 4, b'\xff' * 8, b'\x7f' + b'\xff' * 7, byte
 """Bytes that readers stumble over."""
 CHECKSUMMED = ('ours', 'bare')
 """Bases in which every altered byte shows."""
-TOLD = {'cut', 'recovered', 'notes'}
-"""What a reading says of a run that is not as it should be."""
+REPORTED_KEYS = {'cut', 'recovered', 'notes'}
+"""What a reading reports of a run that is not as it should be."""
 Rows = dict[str, 'Counter[tuple[tuple[str, ...], bytes]]']
 """Channel → (labels, numbers as bytes) → number of messages."""
 
@@ -322,7 +324,7 @@ def memory(field: str) -> int:
 def one_line(text: str) -> str:
     """Return what is wrong with a message; '' = nothing."""
     good = text and '\n' not in text and 'report issue' not in text and len(text) < 3000
-    return '' if good else f'said {text[:3000]!r}'
+    return '' if good else f'reported {text[:3000]!r}'
 
 
 def same_rows(path: Path, data: RunData) -> str:
@@ -334,7 +336,7 @@ def same_rows(path: Path, data: RunData) -> str:
         found = read_run(path)
     except DzRosError:
         return ''
-    told = {'cut', 'recovered'} & found.info.keys()
+    reported = {'cut', 'recovered'} & found.info.keys()
     for name, channel in found.channels.items():
         original = data.channels[name]
         rows = channel['seq'].astype(np.int64)
@@ -344,14 +346,14 @@ def same_rows(path: Path, data: RunData) -> str:
         for part in ('values', 'log_time', 'publish_time'):
             if getattr(channel, part).tobytes() != getattr(original, part)[rows].tobytes():
                 return f'{path.name}: {name} has other numbers'
-        if len(rows) < len(original) and not told:
-            return f'{path.name}: {name} lacks rows, and nothing says so'
-    if not told and found.channels.keys() != data.channels.keys():
-        return f'{path.name}: a channel is missing, and nothing says so'
+        if len(rows) < len(original) and not reported:
+            return f'{path.name}: {name} lacks rows, and nothing reports it'
+    if not reported and found.channels.keys() != data.channels.keys():
+        return f'{path.name}: a channel is missing, and nothing reports it'
     if not set(found.events) <= set(data.events) or (
-            len(found.events) < len(data.events) and not told):
+            len(found.events) < len(data.events) and not reported):
         return f'{path.name}: other events'
-    if found.configuration != data.configuration and not (told and not found.configuration):
+    if found.configuration != data.configuration and not (reported and not found.configuration):
         return f'{path.name}: another configuration'
     return ''
 
@@ -359,8 +361,8 @@ def same_rows(path: Path, data: RunData) -> str:
 def stored_rows(path: Path, copy: Path, data: RunData) -> str:
     """Return where what is read of a run, or of the copy of it, is not what another reader finds.
 
-    Where something is said to be wrong, what lies behind it, where the other reader ends, is the
-    original's.
+    Where something is reported to be wrong, what lies behind it, where the other reader ends, is
+    the original's.
     """
     stored, fault = other_reading(path)
     whole = rows_of(data)
@@ -369,19 +371,19 @@ def stored_rows(path: Path, copy: Path, data: RunData) -> str:
             found = read_run(run)
         except DzRosError:
             continue
-        told = TOLD & found.info.keys()
+        reported = REPORTED_KEYS & found.info.keys()
         for name, rows in rows_of(found).items():
             there = stored.get(name, Counter())
-            if told:
+            if reported:
                 there = there | whole.get(name, Counter())
             if rows - there:
                 return f'{run.name}: {name} has rows that are not stored'
-            if not told and there - rows:
-                return f'{run.name}: {name} lacks rows, and nothing says so'
+            if not reported and there - rows:
+                return f'{run.name}: {name} lacks rows, and nothing reports it'
         lacking = [name for name in stored if name not in found.channels]
-        if lacking and not told:
-            return f'{run.name}: {lacking[0]} is not read, and nothing says so'
-        if fault and not told and run == path:
+        if lacking and not reported:
+            return f'{run.name}: {lacking[0]} is not read, and nothing reports it'
+        if fault and not reported and run == path:
             return f'{run.name}: read as if nothing were wrong, but {fault}'
     return ''
 
@@ -481,7 +483,7 @@ def array(payload: bytes) -> tuple[tuple[str, ...], Any]:
 
 
 def fuzz(seeds: range, seconds: float | None, saved: Path) -> list[str]:
-    """Try the inputs of some seeds, for so long; return what was wrong."""
+    """Try the inputs of some seeds, for this time; return what was wrong."""
     wrong = []
     end = None if seconds is None else time.monotonic() + seconds
     with tempfile.TemporaryDirectory() as name:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MCAP records by hand, as other writers and attackers make them."""
+"""MCAP records composed byte by byte, as other writers and attackers make them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def record(opcode: int, body: bytes, length: int | None = None) -> bytes:
     return bytes([opcode]) + struct.pack('<Q', len(body) if length is None else length) + body
 
 
-HEAD = MAGIC + record(1, text('ros2') + text('by hand'))
+HEAD = MAGIC + record(1, text('ros2') + text('composed'))
 TAIL = record(15, bytes(4)) + record(2, bytes(20)) + MAGIC
 
 

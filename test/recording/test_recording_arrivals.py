@@ -8,7 +8,7 @@ import pytest
 from dz_ros.recording.arrivals import Arrivals
 
 EPOCH, MS, HOUR = 1_700_000_000_000_000_000, 1_000_000, 3_600_000_000_000
-PERIOD, EVERY = 5 * MS, 50 * MS
+PERIOD, POLL_PERIOD = 5 * MS, 50 * MS
 
 
 def recorded(step_ns, at_ns, end_ns=1000 * MS, offset=0):
@@ -17,7 +17,7 @@ def recorded(step_ns, at_ns, end_ns=1000 * MS, offset=0):
         return EPOCH + (step_ns if now >= at_ns else 0)
 
     arrivals, found, taken = Arrivals(EPOCH, 0), [], 0
-    for now in range(EVERY, end_ns + 1, EVERY):
+    for now in range(POLL_PERIOD, end_ns + 1, POLL_PERIOD):
         came = range(taken + offset, now, PERIOD)
         batch = [(epoch(t) + t, 'state', b'', t) for t in came]
         taken = (came[-1] + PERIOD - offset) if came else taken
@@ -39,7 +39,7 @@ def test_a_step_moves_no_message_out_of_its_batch_and_none_after_it(step):
     assert logs == sorted(logs)
     for true, log in found:
         error = abs(log - EPOCH - true)
-        assert error <= (EVERY + MS if 500 * MS <= true < 550 * MS else 0)
+        assert error <= (POLL_PERIOD + MS if 500 * MS <= true < 550 * MS else 0)
 
 
 @given(st.integers(-10 * HOUR, 10 * HOUR), st.integers(0, 1000 * MS), st.integers(0, PERIOD - 1))
@@ -47,7 +47,7 @@ def test_any_step_at_any_time_keeps_order_and_error_bounded(step, at, offset):
     found = recorded(step, at, offset=offset)
     logs = [log for _, log in found]
     assert logs == sorted(logs)
-    assert all(abs(log - EPOCH - true) <= EVERY + MS for true, log in found)
+    assert all(abs(log - EPOCH - true) <= POLL_PERIOD + MS for true, log in found)
 
 
 def test_what_was_repaired_stays_in_the_order_of_its_topic():

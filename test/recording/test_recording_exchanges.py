@@ -141,7 +141,7 @@ def test_what_is_not_in_the_run_is_counted_and_does_not_stop_the_rest():
     assert len(exchanges._references) <= WINDOW
 
 
-def test_a_plant_that_started_anew_is_followed():
+def test_a_plant_that_started_again_is_followed():
     run = Run()
     for seq in (0, 1, 2, 0, 1):
         run.reference(seq).state(seq).terms(seq)

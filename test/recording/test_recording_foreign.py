@@ -111,7 +111,7 @@ def test_a_database_whose_index_lost_a_page_is_not_believed(foreign, make_run):
                                 ).fetchone()[0]
     broken = bytearray(file.read_bytes())
     at = (root - 1) * size
-    broken[at + 3:at + 5] = (1).to_bytes(2, 'big')      # the page says it has one cell
+    broken[at + 3:at + 5] = (1).to_bytes(2, 'big')      # the page reports it has one cell
     file.write_bytes(bytes(broken))
     with pytest.raises(RecordingError, match='damaged'):
         read_run(path)

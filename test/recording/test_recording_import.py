@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns of other tools' files become runs: signals, factors, times, gaps; nothing is made up."""
+"""Columns of other tools' files become runs: signals, factors, times, gaps; nothing is made up.
+
+Over 300 lines: all of it maps columns of the same made-up logs.
+"""
 
 import time
 import tracemalloc
@@ -38,22 +41,23 @@ def test_a_source_is_column_factor_and_offset(text, column, factor, offset):
     assert (found.factor, found.offset) == pytest.approx((factor, offset))
 
 
-@pytest.mark.parametrize(('text', 'said'), [
+@pytest.mark.parametrize(('text', 'reported'), [
     ('q', 'begins with no column of the file; these are t, x'),
     ('x*furlong', 'furlong is no unit'),
     ('x*(2)', r"'\*\(2\)' is no factor"), ('x*0', 'finite number, not 0'), ('x*1e999', 'finite'),
     ('x**2', 'is no factor'), ('x*2*3', 'is no factor'), ('__import__("os")', 'begins with no'),
     ('x+1e999', 'the offset must be a finite number')])
-def test_what_is_no_source_is_named_and_nothing_is_evaluated(text, said):
-    with pytest.raises(ConfigurationError, match=said) as caught:
+def test_what_is_no_source_is_named_and_nothing_is_evaluated(text, reported):
+    with pytest.raises(ConfigurationError, match=reported) as caught:
         parse_source(text, COLUMNS)
     assert '\n' not in str(caught.value)
 
 
 def test_a_map_names_each_signal_once():
     assert split_map('stamp=t, x0="a,b"*2,v=v') == {'stamp': 't', 'x0': '"a,b"*2', 'v': 'v'}
-    for text, said in (('x0', 'SIGNAL=COLUMN'), ('x0=a,x0=b', 'a second time'), ('', 'must be')):
-        with pytest.raises(ConfigurationError, match=said):
+    for text, reported in (('x0', 'SIGNAL=COLUMN'), ('x0=a,x0=b', 'a second time'),
+                           ('', 'must be')):
+        with pytest.raises(ConfigurationError, match=reported):
             split_map(text)
     with pytest.raises(ConfigurationError, match='is no signal of a run of order 2'):
         check_signals(['x7'], 2)
@@ -74,7 +78,7 @@ def test_tables_are_read_whatever_separates_their_cells(tmp_path, text, values):
     assert read_table(path, ['x']).chosen['x'].values == pytest.approx(values, nan_ok=True)
 
 
-@pytest.mark.parametrize(('text', 'said'), [
+@pytest.mark.parametrize(('text', 'reported'), [
     ('', 'is empty'), ('0,1\n1,2\n', 'must name the columns'),
     ('t,x\n0\n', 'line 2 has 1 cells'),
     ('t,x\n0,' + '1' * 200000, 'field larger than field limit'),
@@ -82,10 +86,10 @@ def test_tables_are_read_whatever_separates_their_cells(tmp_path, text, values):
     ('t,x\n\n0,"1\n2"\n', "line 4: x is '1.n2', not a number"),
     ('x' * 200000, 'field larger than field limit'),
     ('x,x\n', 'two columns'), ('t,x\n0,abc\n', "x is 'abc', not a number")])
-def test_what_is_no_table_is_named(tmp_path, text, said):
+def test_what_is_no_table_is_named(tmp_path, text, reported):
     path = tmp_path / 'a.csv'
     path.write_text(text, encoding='utf-8')
-    with pytest.raises(RecordingError, match=said):
+    with pytest.raises(RecordingError, match=reported):
         read_table(path, list(table_names(path))[-1:])
 
 
@@ -101,7 +105,7 @@ def motion(count=400):
     return t, np.sin(3.0 * t), 2.0 * np.cos(t)
 
 
-def test_a_run_holds_what_the_columns_say_and_names_the_rest():
+def test_a_run_holds_what_the_columns_report_and_names_the_rest():
     t, x, v = motion()
     columns, sources = table(t + 7.0, x0=x, xd0=x, v=v)
     done = import_run(columns, sources, axis(), False, 10 ** 18)
@@ -111,17 +115,17 @@ def test_a_run_holds_what_the_columns_say_and_names_the_rest():
     assert state['seq'].tolist() == list(range(len(t)))
     assert np.array_equal(state['x0'], x)
     assert np.array_equal(command['v'], v)
-    # The velocity is observed, and said to be.
+    # The velocity is observed, and reported to be.
     assert state['x1'][100:] == pytest.approx(3.0 * np.cos(3.0 * t[100:]), abs=0.02)
     assert done.run.info['observed'] == 'x1'
     reference = done.run.channels['reference']
     inner = slice(10, -10)
     assert reference['xd1'][inner] == pytest.approx(3 * np.cos(3 * t)[inner], abs=1e-4)
     assert reference['xd2'][inner] == pytest.approx(-9 * np.sin(3 * t)[inner], abs=1e-2)
-    said = '; '.join(done.notes)
-    assert 'xd1, xd2 missing' in said
-    assert 'x1 is missing: observed from x0' in said
-    assert "missing: the law's terms, truth, round trips" in said
+    reported = '; '.join(done.notes)
+    assert 'xd1, xd2 missing' in reported
+    assert 'x1 is missing: observed from x0' in reported
+    assert "missing: the law's terms, truth, round trips" in reported
     assert 'terms' not in done.run.channels
     trajectory = Configuration.from_flat(done.run.configuration).trajectory
     there = [0.0] * 3
@@ -138,10 +142,10 @@ def test_gaps_stay_gaps_and_rows_out_of_order_are_left_out():
         done = import_run(*table(t, x0=x, v=v), axis(), resample, 0)
         seq = done.run.channels['state']['seq']
         assert 30 - 1 <= int(seq[-1]) + 1 - len(seq) <= 30
-        said = '; '.join(done.notes)
-        assert 'are gaps and stay gaps' in said
-        assert '1 rows of x0 do not come after the row before: left out' in said
-        assert 'missing: reference' in said
+        reported = '; '.join(done.notes)
+        assert 'are gaps and stay gaps' in reported
+        assert '1 rows of x0 do not come after the row before: left out' in reported
+        assert 'missing: reference' in reported
 
 
 def test_resampling_interpolates_states_and_holds_commands():
@@ -274,23 +278,24 @@ def test_joint_states_of_a_bag(tmp_path, storage):
     sources = {'x0': parse_source(wanted[0], None), 'v': parse_source(f'{wanted[1]}/2', None)}
     done = import_run(found.chosen, sources, axis(), False, 0)
     assert done.run.channels['command']['v'] == pytest.approx(np.arange(50))
-    for column, said in (('/leg/position[0]', 'no topic of /leg.*there are /arm/joints'),
+    for column, reported in (('/leg/position[0]', 'no topic of /leg.*there are /arm/joints'),
                          ('/arm/joints/position[7]', 'no field .*position'),
                          ('/arm/joints/torque', 'no field')):
-        with pytest.raises(RecordingError, match=said):
+        with pytest.raises(RecordingError, match=reported):
             read_bag(open_source(tmp_path / 'bag'), [column])
 
 
-def test_messages_that_are_not_what_their_definition_says():
+def test_messages_that_are_not_what_their_definition_reports():
     kind = MessageType('a/msg/B', 'float64[<=3] x\nuint8 CONSTANT=3\na/C c # of it\n===\n'
                        'MSG: a/C\nint32[2] y\nbool z')
     body = bytes.fromhex('01000000 00000000') + np.array([1.5]).tobytes() + np.array(
         [-2, 7], dtype='<i4').tobytes() + b'\x01'
     whole = b'\x00\x01\x00\x00' + body
     assert kind.decode(whole) == {'x[0]': 1.5, 'c.y[0]': -2.0, 'c.y[1]': 7.0, 'c.z': 1.0}
-    for payload, said in ((whole[:-3], 'ends before its last field'), (b'\x00\x07', 'plain CDR'),
-                          (b'\x00\x01\x00\x00' + b'\xff' * 8, 'elements')):
-        with pytest.raises(MessageError, match=said):
+    for payload, reported in ((whole[:-3], 'ends before its last field'),
+                              (b'\x00\x07', 'plain CDR'),
+                              (b'\x00\x01\x00\x00' + b'\xff' * 8, 'elements')):
+        with pytest.raises(MessageError, match=reported):
             kind.decode(payload)
     with pytest.raises(MessageError, match='does not define how'):
         MessageType('a/msg/Unknown', '')

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files made to break their reader: a line and exit code 2, or read with a word, within 1 GB.
+"""Files made to break their reader: a line and exit code 2, or read with a note, within 1 GB.
 
-Every verb reads every file; a process for each kind of file tells its largest memory.
+Every verb reads every file; a process for each kind of file prints its largest memory.
+
+Over 300 lines: each kind of file is made here, and all are read by the same process.
 """
 
 from __future__ import annotations
@@ -108,7 +110,7 @@ def run(*commands):
 
 
 def each(paths, tmp_path):
-    """Return what every verb says of each recording: verb → (code, errors, output).
+    """Return what every verb reports of each recording: verb → (code, errors, output).
 
     What-if, which draws for seconds what it can read, is asked of the first one alone.
     """
@@ -160,7 +162,7 @@ DEEP = '[' * 5000
 
 
 def saved(data, folder, count):
-    """Return runs, so many."""
+    """Return this number of runs."""
     first = save_run(data, folder / 'run0').directory
     return [first, *(shutil.copytree(first, folder / f'run{k}') for k in range(1, count))]
 
@@ -218,7 +220,7 @@ def claiming(size):
 
 @cache
 def zeros():
-    """Return a zstd frame that becomes 2 GiB and does not say so."""
+    """Return a zstd frame that becomes 2 GiB and does not report it."""
     packer = zstandard.ZstdCompressor(level=1).compressobj()
     piece = bytes(2**20)
     return b''.join(packer.compress(piece) for _ in range(2048)) + packer.flush()
@@ -243,7 +245,7 @@ def lengths():
     yield 'attachment', parts.record(9, bytes(16) + long)
     yield 'compression', parts.record(6, bytes(28) + long)
     yield 'bomb', parts.chunk(b'', zeros(), 'zstd', 2**28 - 1)
-    yield 'bomb-said', parts.chunk(b'', zeros(), 'zstd', 2**31)
+    yield 'bomb-reported', parts.chunk(b'', zeros(), 'zstd', 2**31)
     small = parts.message(1, 5, b'\0\1\0\0')
     yield 'messages', parts.chunk(parts.schema(1, 'a/msg/B', b'') + parts.channel(1, 1, '/a')
                                   + small * 1_100_000)

@@ -174,7 +174,7 @@ def test_steps_are_single_messages_and_only_while_paused():
     player.pause()
     assert player.step().payload == b'2'
     assert player.step() is None
-    assert not player.finished          # somebody holds it: he may seek
+    assert not player.finished          # it is held: an operator may seek
     assert player.seek(FIRST + SECOND)
     assert player.step().payload == b'1'
 

@@ -68,10 +68,10 @@ def test_many_threads_may_put(tmp_path):
 def test_put_never_waits_for_the_writer(tmp_path):
     writer = RunWriter(tmp_path / 'run', {}, {})
     writer.add_topic('/state', ARRAY.name)
-    gate, write = threading.Event(), writer.write
+    barrier, write = threading.Event(), writer.write
 
     def slow(*message):
-        assert gate.wait(TIME_OUT)
+        assert barrier.wait(TIME_OUT)
         write(*message)
 
     writer.write = slow
@@ -79,7 +79,7 @@ def test_put_never_waits_for_the_writer(tmp_path):
     for k in range(1000):
         queued.put('/state', CODEC.encode([k, 0]), k, k)      # would hang here
     assert queued.pending in (999, 1000)
-    gate.set()
+    barrier.set()
     assert queued.close().messages == 1000
 
 
@@ -119,7 +119,7 @@ def test_one_bad_message_does_not_cost_the_others(tmp_path):
     assert queued.lost == 1
 
 
-def test_what_breaks_the_thread_is_said(tmp_path, monkeypatch):
+def test_what_breaks_the_thread_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(threading, 'excepthook', lambda _: None)
     writer = RunWriter(tmp_path / 'run', {}, {})
     writer.add_topic('/state', ARRAY.name)
@@ -176,12 +176,12 @@ class Disk:
     """A disk whose writes can be refused or held up."""
 
     def __init__(self, monkeypatch):
-        self.room, self.gate = True, threading.Event()
-        self.gate.set()
+        self.room, self.barrier = True, threading.Event()
+        self.barrier.set()
         write = os.pwrite
 
         def pwrite(*arguments):
-            assert self.gate.wait(TIME_OUT)
+            assert self.barrier.wait(TIME_OUT)
             if not self.room:
                 write(arguments[0], arguments[1][:5], arguments[2])     # some of it fits
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -238,14 +238,14 @@ def test_a_disk_that_does_not_answer_is_given_up(tmp_path, monkeypatch):
     disk = Disk(monkeypatch)
     queued = QueuedWriter(RunWriter(tmp_path / 'run', {}, {}))
     queued.add_topic('/state', ARRAY.name)
-    disk.gate.clear()
+    disk.barrier.clear()
     for k in range(20_000):
         queued.put('/state', CODEC.encode([k, 0.0]), k, k)
     assert queued.pending <= 1000 + 20_000 // 2
     summary = queued.close()
     assert (summary.messages, summary.lost, summary.complete) == (0, 20_000, False)
     assert 'the disk' in str(queued.error)
-    disk.gate.set()
+    disk.barrier.set()
 
 
 def test_what_large_messages_that_wait_take_is_bounded(tmp_path, monkeypatch):
@@ -253,7 +253,7 @@ def test_what_large_messages_that_wait_take_is_bounded(tmp_path, monkeypatch):
     disk = Disk(monkeypatch)
     queued = QueuedWriter(RunWriter(tmp_path / 'run', {}, {}))
     queued.add_topic('/state', ARRAY.name)
-    disk.gate.clear()
+    disk.barrier.clear()
     for k in range(0, 2000, 20):
         queued.put_all([('/state', CODEC.encode([i, 0.0]) + bytes(100_000), i, i)
                         for i in range(k, k + 20)])
@@ -261,7 +261,7 @@ def test_what_large_messages_that_wait_take_is_bounded(tmp_path, monkeypatch):
     assert 'MiB wait' in str(queued.error)
     lost = queued.lost
     assert lost > 0
-    disk.gate.set()
+    disk.barrier.set()
     summary = queued.close()
     assert (summary.messages, summary.lost) == (2000 - lost, lost)
 

@@ -79,7 +79,7 @@ def runs(draw):
         count = draw(st.integers(1, 8))
         row = st.lists(st.floats(), min_size=len(labels), max_size=len(labels))
         values = draw(st.lists(row, min_size=count, max_size=count))
-        for item in values:     # the first two tell messages apart and place them in time
+        for item in values:     # the first two distinguish messages and place them in time
             item[:2] = draw(st.integers(0, 2 ** 40 - 1)), draw(st.floats(-4e9, 4e9))
         log, publish = (draw(st.lists(TIMES, min_size=count, max_size=count)) for _ in range(2))
         channels[name] = Channel(labels, np.array(values), np.array(sorted(log)),

@@ -261,7 +261,7 @@ def test_a_chunk_never_stays_open_long(tmp_path):
         writer.flush_if_due()
         assert stored() == 0
         now += 0.2 * CHUNK_SECONDS
-        writer.flush_if_due()                       # nobody writes
+        writer.flush_if_due()                       # without a writer
         assert stored() == 1
         writer.write('/state', STATE.encode([1, 0, 0]), START, START)
         assert stored() == 1
@@ -272,7 +272,7 @@ def test_a_chunk_never_stays_open_long(tmp_path):
         assert stored() == 4
 
 
-def test_a_file_says_who_it_is_before_its_first_message(tmp_path):
+def test_a_file_states_its_origin_before_its_first_message(tmp_path):
     writer = RunWriter(tmp_path / 'run', {'mode': 'realtime'}, {'loop.rate': 100.0})
     writer.add_configuration({'plant.model': 'servo'})
     file = McapFile(writer.path)

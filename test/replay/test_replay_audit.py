@@ -30,7 +30,7 @@ def recorded(logs):
 
 @pytest.mark.parametrize('law', list(LAWS.builtin))
 @pytest.mark.parametrize('plant', list(PLANTS.builtin))
-def test_every_law_and_plant_off_line(logs, law, plant):
+def test_every_law_and_plant_offline(logs, law, plant):
     try:
         run = logs.offline(**{'controller.law': law, 'plant.model': plant,
                               'plant.noise': [1e-3], 'loop.duration': 0.5})
@@ -47,10 +47,10 @@ def test_real_time_log(recorded):
     assert result.passed, result
     distinct = len(np.unique(recorded.channels['command']['seq']))
     assert result.samples == result.checked == distinct < len(recorded.channels['command'])
-    said = ' '.join(result.notes)
-    assert 'reference(s) were brought' in said
-    assert 'bad interval' in said
-    assert 'passed over for newer ones' in said
+    reported = ' '.join(result.notes)
+    assert 'reference(s) were brought' in reported
+    assert 'bad interval' in reported
+    assert 'passed over for newer ones' in reported
 
 
 def test_gain_changes_are_followed(logs):
@@ -77,7 +77,7 @@ def test_restarts_are_followed(logs, restart):
     assert len(result.spans) == (2 if 'restart' in restart else 1)
 
 
-def test_difference_after_a_restart_says_which_start(logs):
+def test_difference_after_a_restart_reports_which_start(logs):
     run = logs.real_time(restart=150)
     rows = np.flatnonzero(run.channels['command']['seq'] == 20)
     result = audit(logs.change(run, 'command', 'v', rows[-1], 1.0))
@@ -181,22 +181,22 @@ def test_initial_estimates_are_part_of_the_audit(simulated):
 
 
 def test_another_version_is_named_and_judged_by_its_numbers(logs):
-    result = audit(logs.real_time(said='0.0.1'))
+    result = audit(logs.real_time(reported='0.0.1'))
     assert result.passed
     assert result.notes[0] == f'recorded by dz_ros 0.0.1, recomputed by {version()}'
 
 
-@pytest.mark.parametrize(('before', 'after', 'said'), [
+@pytest.mark.parametrize(('before', 'after', 'reported'), [
     ('"controller.law": "wang2004"', '"controller.law": "gone"', 'no such law'),
     ('"controller.k_d"', '"controller.k_dd"', 'unknown key'),
     ('"controller.law": "wang2004"', '"controller.law": "pd"', 'theta1'),
     ('"plant.model": "wang2004"', '"plant.model": "first_order"', 'has 1 states, the log has 2'),
     ('"memory": [0.85, ', '"memory": [', 'keeps 3 numbers from sample to sample')])
-def test_another_law_is_named_and_not_passed(logs, before, after, said):
+def test_another_law_is_named_and_not_passed(logs, before, after, reported):
     run = logs.real_time()
     events = tuple((time, node, text.replace(before, after)) for time, node, text in run.events)
     result = audit(replace(run, events=events))
     assert not result.passed
     assert result.checked == 0
-    assert said in result.not_checkable[0].text
+    assert reported in result.not_checkable[0].text
     assert result.not_checkable[0].samples == result.samples

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Audits of logs that lack something: what cannot be checked is said, never passed."""
+"""Audits of logs that lack something: what cannot be checked is reported, never passed."""
 
 from dataclasses import replace
 import json
@@ -53,16 +53,16 @@ def test_what_the_device_did_not_measure_is_not_missing(logs, recorded, ranges, 
     seq = recorded.channels['state']['seq']
     run = logs.drop(recorded, 'state', *np.flatnonzero((seq >= 150) & (seq <= 154)))
     text = json.dumps({'node': '/plant_node', 'event': 'unmeasured', 'ranges': ranges})
-    told = replace(run, events=(*run.events, (int(run.channels['state'].log_time[-1]),
+    claimed = replace(run, events=(*run.events, (int(run.channels['state'].log_time[-1]),
                                               '/plant_node', text)))
-    result = audit(told)
+    result = audit(claimed)
     missing = [item for item in result.findings if item.startswith('state: ')]
     assert bool(missing) == bool(left)
     assert not left or missing[0].endswith(f' missing: seq {left}')
     notes = [item for item in result.notes if 'no measurement' in item]
     assert bool(notes) == bool(known)
     assert not known or notes[0].endswith(f'which have no state: seq {known}')
-    # Here the law answered them, so that they cannot be checked, whatever an event says.
+    # Here the law answered them, so that they cannot be checked, whatever an event reports.
     assert not result.passed
     assert result.not_checkable[0].text == 'the state it answers is not in the log'
 
@@ -103,7 +103,7 @@ def test_lockstep_uses_no_reference_of_another_stamp(recorded):
     assert any('a loop in this mode waits' in item for item in result.findings)
 
 
-def test_without_terms_commands_are_checked_and_the_rest_is_said(logs, simulated):
+def test_without_terms_commands_are_checked_and_the_rest_is_reported(logs, simulated):
     channels = {name: item for name, item in simulated.channels.items() if name != 'terms'}
     result = audit(replace(simulated, channels=channels))
     assert not result.passed
@@ -116,7 +116,7 @@ def test_without_terms_commands_are_checked_and_the_rest_is_said(logs, simulated
 
 
 @pytest.mark.parametrize('name', ['reference', 'state', 'command'])
-def test_a_channel_that_was_not_recorded_is_said(simulated, name):
+def test_a_channel_that_was_not_recorded_is_reported(simulated, name):
     channels = {key: item for key, item in simulated.channels.items() if key != name}
     result = audit(replace(simulated, channels=channels))
     assert not result.passed
@@ -138,7 +138,7 @@ def test_an_empty_log_is_not_passed():
     assert 'nothing to check' in result.findings[0]
 
 
-def test_late_recording_is_checked_from_its_signals_and_said(logs, simulated):
+def test_late_recording_is_checked_from_its_signals_and_reported(logs, simulated):
     run = simulated
     for name in ('reference', 'state', 'command', 'terms', 'truth'):
         run = logs.drop(run, name, *range(100))

@@ -111,7 +111,7 @@ def test_transport_is_noted(run):
     assert '0.6 ms after its state' in planned.notes[0]
 
 
-def test_real_hardware_needs_a_model_and_says_what_it_lacks(hardware):
+def test_real_hardware_needs_a_model_and_reports_what_it_lacks(hardware):
     assert not is_simulated(hardware)
     with pytest.raises(ConfigurationError) as error:
         plan(hardware, {'controller.gamma': 1.0, 'plant.a1': 1.0})
@@ -150,7 +150,7 @@ def test_real_hardware_fitted(hardware, run):
     assert np.abs(made.channels['state']['x0'] - run.channels['state']['x0']).max() < 0.2
 
 
-def test_a_reference_nobody_describes_is_the_recorded_one(run, configuration):
+def test_a_reference_without_description_is_the_recorded_one(run, configuration):
     flat = {key: value for key, value in run.configuration.items()
             if not key.startswith('trajectory.')}
     planned, made = ask(replace(run, configuration=flat), {})
@@ -195,7 +195,7 @@ def test_a_pulse_given_while_the_loop_ran_is_part_of_the_run(configuration):
     assert not any('pulse' in note for note in planned.notes)
 
 
-def test_what_of_the_plant_s_changes_is_not_repeated_is_said(run, configuration):
+def test_what_of_the_plant_s_changes_is_not_repeated_is_reported(run, configuration):
     first = configuration.replace(**{'plant.disturbance_pulse': [1.0, 20.0, 0.05]})
     second = first.replace(**{'plant.disturbance_pulse': [2.0, -5.0, 0.05],
                               'plant.dead_zone.b_r': 0.3})

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page of a run: everything inside, nothing from outside, nothing half-written."""
+"""The page of a run: everything inside, nothing from outside, nothing half-written.
+
+Over 300 lines: all of it reads pages of the same runs, written once.
+"""
 
 from __future__ import annotations
 
@@ -143,7 +146,7 @@ def test_units_are_those_of_the_plant_not_names_of_columns(simulated, tmp_path):
     assert not re.search(r'\d x\d', text)
 
 
-def test_it_says_how_both_runs_were_made(report):
+def test_it_reports_how_both_runs_were_made(report):
     _, _, page = report
     assert 'made in real time over topics' in page.text
     assert 'The run without dead-zone was simulated offline' in page.text
@@ -151,7 +154,7 @@ def test_it_says_how_both_runs_were_made(report):
     assert page.row('controller.lambda')[1:3] == ['1.0', '1/s']
 
 
-def test_timing_gaps_and_guarantee_are_told(report):
+def test_timing_gaps_and_guarantee_are_reported(report):
     _, _, page = report
     state = [row for row in page.rows if row[0] == 'state']
     assert state[0][1] == 'publish'
@@ -197,7 +200,7 @@ def test_what_is_no_event_is_shown_as_it_is():
     assert len(event_text('x' * 1000)) == 301
 
 
-def test_an_offline_run_says_it_has_no_timing(simulated, tmp_path):
+def test_an_offline_run_reports_it_has_no_timing(simulated, tmp_path):
     page = Page(write_report(simulated({'loop.duration': 2.0}), tmp_path).read_text('utf-8'))
     assert 'No timing is judged: this run was computed offline' in page.text
     assert 'periods' not in page.ids
@@ -210,7 +213,7 @@ def test_a_second_run_of_ones_own_is_not_called_simulated(simulated, over_topics
     assert 'without dead-zone is another one, made in real time' in page.text
 
 
-def test_a_run_of_hardware_says_what_is_not_known(simulated, over_topics, tmp_path):
+def test_a_run_of_hardware_reports_what_is_not_known(simulated, over_topics, tmp_path):
     run = over_topics(simulated({'loop.duration': 2.0}))
     bare = replace(run, configuration={}, info={}, channels={
         name: run.channels[name] for name in ('state', 'reference', 'command')})
@@ -223,7 +226,7 @@ def test_a_run_of_hardware_says_what_is_not_known(simulated, over_topics, tmp_pa
     assert not re.search(r'\bnan\b', page.text, re.IGNORECASE)
 
 
-def test_losses_restarts_and_freezes_are_told(simulated, over_topics, keep, tmp_path):
+def test_losses_restarts_and_freezes_are_reported(simulated, over_topics, keep, tmp_path):
     run = over_topics(simulated({'loop.duration': 2.0}))
     run.channels['terms'].values[5:8, run.channels['terms'].labels.index('status')] = 5.0
     run = keep(run, command=np.setdiff1d(np.arange(401), [3, 4]),
@@ -274,7 +277,7 @@ def test_an_error_leaves_nothing_half_written(simulated, keep, tmp_path):
     assert file.read_text() == 'mine'
 
 
-def test_the_counterpart_differs_in_the_dead_zone_alone(simulated):
+def test_the_reference_run_differs_in_the_dead_zone_alone(simulated):
     view = View.of(simulated({'loop.duration': 2.0, 'plant.dead_zone.m_r': 1.2,
                               'plant.dead_zone.b_l_drift': (0.1, 1.0)}))
     found = without_dead_zone(view)
@@ -314,7 +317,7 @@ def test_what_is_guaranteed_and_what_is_not(simulated, overrides, broken, beyond
     ({'controller.layer_gain': 71.0, 'controller.observer_rate': 60.0, 'plant.b': 1.9,
       'loop.delay': 1}, True),
     ({'plant.b': 1.0}, False), ({'plant.b': 1.0, 'controller.law': 'robust'}, False)])
-def test_chatter_inside_the_layer_is_said(simulated, changes, chatters):
+def test_chatter_inside_the_layer_is_reported(simulated, changes, chatters):
     found = guarantee(View.of(simulated({'controller.law': 'robust_eso', 'loop.duration': 8.0,
                                          **changes})))
     assert ('Chatter inside the layer' in ' '.join(found.beyond)) is chatters

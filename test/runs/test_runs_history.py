@@ -35,7 +35,7 @@ def test_each_section_is_its_owners():
     assert found.began == {**found.owned, 'controller.gamma': 0.5}
 
 
-def test_what_is_stored_holds_where_nobody_states_otherwise():
+def test_what_is_stored_holds_where_no_event_states_otherwise():
     stored = {'loop.rate': 1.0, 'loop.seed': 4, 'other.key': 1}
     found = history(PLANT, LATER, stored=stored)
     assert found.stored == {'loop.rate': 1.0, 'loop.seed': 4}
@@ -51,7 +51,7 @@ def test_statements_that_name_no_owner_change_nothing_but_fill_what_is_unknown()
     assert 'trajectory.kind' not in found.latest
 
 
-def test_changes_are_told_one_by_one():
+def test_changes_are_reported_one_by_one():
     found = RunHistory()
     assert found.add(CONTROLLER) == {}
     assert found.changed
@@ -61,7 +61,7 @@ def test_changes_are_told_one_by_one():
     assert found.changed
 
 
-def test_statements_say_from_which_sample_on_and_with_which_memory():
+def test_statements_report_from_which_sample_on_and_with_which_memory():
     found = history(PLANT, CONTROLLER, LATER)
     assert [(item.time, item.event.seq, item.event.memory)
             for item in found.statements('controller')] == [(1, 0, (1.0,)), (2, 40, (1.0,))]

@@ -79,7 +79,7 @@ def test_message_by_message_gives_the_same_counts(seqs):
     ([0, 300, 10, 301], 298, 0, 1, 0),
     ([0, 2.0 ** 39], 2 ** 39 - 1, 0, 0, 0),     # no list of all of them is made
 ])
-def test_by_hand(numbers, missing, repeated, reordered, restarts):
+def test_examples(numbers, missing, repeated, reordered, restarts):
     for found in (one_by_one(numbers), count_sequence(np.array(numbers, dtype=float))):
         assert (found.missing, found.repeated, found.reordered, found.restarts) == (
             missing, repeated, reordered, restarts)

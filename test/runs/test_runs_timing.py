@@ -66,7 +66,7 @@ def test_latency_matches_question_and_answer(simulated, over_topics):
     run = over_topics(simulated())
     command = run.channels['command']
     values, published = command.values.copy(), command.publish_time.copy()
-    values[:, 0] += 1000.0                      # its own count says nothing of the question
+    values[:, 0] += 1000.0                      # its own count reports nothing of the question
     published[1234] += 3 * MS
     timing = timing_of(replace(run, channels={**run.channels, 'command': Channel(
         command.labels, values, command.log_time, published)}))
@@ -100,7 +100,7 @@ def test_times_of_the_recorder_serve_where_there_are_no_others(simulated, over_t
     assert timing.latencies['log'].p50 == pytest.approx(0.4e-3)
 
 
-def test_an_offline_run_has_no_timing_and_says_so(simulated):
+def test_an_offline_run_has_no_timing_and_reports_it(simulated):
     timing = timing_of(simulated())
     assert not timing.judged
     assert 'offline' in timing.note

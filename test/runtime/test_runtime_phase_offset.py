@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Listening at a phase offset to the ticks, on a simulated clock."""
+"""Subscribed at a phase offset to the ticks, on a simulated clock."""
 
 import pytest
 
@@ -17,7 +17,7 @@ T = 0.005
 
 
 class World:
-    """A clock, and ticks that come at offset + k T (1 + skew); hears them as a node would."""
+    """A clock, and ticks that come at offset + k T (1 + skew); receives them as a node would."""
 
     def __init__(self, offset=100.0, skew=0.0):
         self.now = 0.0
@@ -29,7 +29,7 @@ class World:
         self.now += seconds
 
     def ticks(self, numbers):
-        """Return how long after it had come each tick was heard; only the newest is kept."""
+        """Return how long after it had come each tick was received; only the newest is kept."""
         late = []
         for k in numbers:
             comes, follows = (self.offset + i * T * (1.0 + self.skew) for i in (k, k + 1))
@@ -43,7 +43,7 @@ class World:
 
 
 @pytest.mark.parametrize('skew', [0.0, 1e-4, -1e-4])
-def test_ticks_are_heard_a_share_of_a_period_late_whatever_the_other_clock(skew):
+def test_ticks_are_received_a_share_of_a_period_late_whatever_the_other_clock(skew):
     late = World(skew=skew).ticks(range(3000))[10:]
     met = sum(OFFSET_SHARE * T * 0.5 < item < OFFSET_SHARE * T * 1.5 for item in late)
     assert met > 0.99 * len(late)
@@ -65,7 +65,7 @@ def test_ticks_that_stop_are_waited_for():
     world = World()
     world.ticks(range(50))
     begin = world.now
-    world.offset_clock.rest()      # nothing was heard since: no sleep
+    world.offset_clock.rest()      # nothing was received since: no sleep
     assert world.now == begin
 
 
@@ -104,6 +104,6 @@ def test_a_turn_fits_between_two_ticks_where_there_is_room(rate, samples):
         assert (0.1 * k + pause / period) % 1.0 == pytest.approx(MIDDLE_SHARE, abs=1e-6)
 
 
-def test_a_tick_of_long_ago_or_to_come_tells_nothing():
+def test_a_tick_of_long_ago_or_to_come_reports_nothing():
     for tick in (10.0 - 1.1 * TICK_MAX_AGE, 10.0 + 1.1 * TICK_MAX_AGE, -1.7e9):
         assert collecting_time(10.0, tick, T, 6e-5, 0.001, 0.05) == 0.05

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requests to the operating system: made to all threads, refused in words, never fatal."""
+"""Requests to the operating system: made to all threads, refused with a reason, never fatal."""
 
 import json
 import os
@@ -20,7 +20,7 @@ def refuse(*_):
 
 
 @LINUX
-def test_what_is_refused_comes_back_in_words_and_the_rest_is_done(monkeypatch):
+def test_what_is_refused_comes_back_as_text_and_the_rest_is_done(monkeypatch):
     done = []
     monkeypatch.setattr(os, 'sched_setscheduler', refuse)
     monkeypatch.setattr(os, 'sched_setaffinity', lambda thread, cores: done.append(cores))

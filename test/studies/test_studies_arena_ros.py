@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Chosen runs of the comparison through ROS nodes equal the loop off line, bit for bit."""
+"""Chosen runs of the comparison through ROS nodes equal the loop offline, bit for bit."""
 
 import numpy as np
 import pytest
@@ -30,9 +30,9 @@ def test_equal_runs_do_not_differ(offline):
 
 @pytest.mark.parametrize(('name', 'label'), [('state', 'x1'), ('command', 'v'), ('terms', 'phi')])
 def test_one_number_is_found(offline, name, label):
-    said = difference(changed(offline, name, label, 42, 0.125), offline)
-    assert said.startswith(f'{name}.{label} differs from sample 42 on: ')
-    assert '0.125' in said
+    reported = difference(changed(offline, name, label, 42, 0.125), offline)
+    assert reported.startswith(f'{name}.{label} differs from sample 42 on: ')
+    assert '0.125' in reported
 
 
 def test_a_message_that_came_again_is_the_same_sample(offline):
@@ -41,8 +41,8 @@ def test_a_message_that_came_again_is_the_same_sample(offline):
     again = RunData({**offline.channels, 'state': Channel(
         state.labels, state.values[rows], state.log_time[rows], state.publish_time[rows])})
     assert difference(again, offline) == ''
-    said = difference(changed(again, 'state', 'x0', 43, 0.125), offline)
-    assert said.startswith('state.x0 differs from sample 42 on: ')
+    reported = difference(changed(again, 'state', 'x0', 43, 0.125), offline)
+    assert reported.startswith('state.x0 differs from sample 42 on: ')
 
 
 def test_what_is_missing_is_found(offline):
@@ -53,7 +53,7 @@ def test_what_is_missing_is_found(offline):
 
 @pytest.mark.ros
 @pytest.mark.usefixtures('ros_domain')
-def test_a_pulse_through_ros_is_the_pulse_off_line(processes):
+def test_a_pulse_through_ros_is_the_pulse_offline(processes):
     pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
     run = processes('-m', 'dz_ros', 'arena', '--ros', '--laws', 'fuzzy', '--scenarios',
                     'disturbance pulse;delay 2', '--duration', '2')

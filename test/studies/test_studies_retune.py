@@ -171,14 +171,15 @@ def test_verb_prints_both_tables(tmp_path, capsys):
     assert main([*words, '--budget', '0']) == 2
 
 
-def test_the_readme_says_what_the_table_says():
+def test_the_readme_reports_what_the_table_reports():
     root = Path(__file__).parents[2]
-    said = summary(list(read(root / 'benchmarks' / 'retuned.jsonl').values()))
-    assert said in (root / 'docs' / 'arena.md').read_text()
+    reported = summary(list(read(root / 'benchmarks' / 'retuned.jsonl').values()))
+    assert reported in (root / 'docs' / 'arena.md').read_text()
     readme = ' '.join((root / 'README.md').read_text().split())
-    best, count = map(int, re.search(r'smallest error in (\d+) of (\d+) scenarios', said).groups())
-    better = int(re.search(r'another law is better in (\d+)', said)[1])
-    times = sorted(map(float, re.findall(r'([\d.]+) times smaller', said)))
+    best, count = map(int, re.search(r'smallest error in (\d+) of (\d+) scenarios',
+                                     reported).groups())
+    better = int(re.search(r'another law is better in (\d+)', reported)[1])
+    times = sorted(map(float, re.findall(r'([\d.]+) times smaller', reported)))
     assert f'for all {count} scenarios' in readme
     assert f'best in {best}; another law is better in {better}' in readme
     assert math.floor(10 * times[0]) / 10 == float(re.search(r'by ([\d.]+) to', readme)[1])

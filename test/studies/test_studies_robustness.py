@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The share of random plants within Ω_ε: what counts, what the controller is told."""
+"""The share of random plants within Ω_ε: what counts, what the controller is given."""
 
 import importlib
 import math
@@ -57,9 +57,9 @@ def test_the_worst_cases_state_the_bounds_they_were_drawn_from(law):
 
 @pytest.mark.parametrize('law', ['wang2004', 'robust'])
 def test_the_bounds_of_b_change_no_number_of_the_law(law):
-    told, example = (Configuration.from_flat({'controller.law': law, **more}).law.constants
+    given, example = (Configuration.from_flat({'controller.law': law, **more}).law.constants
                      for more in ({'controller.b_bounds': [0.5, 2.0]}, {}))
-    assert told == example
+    assert given == example
 
 
 def within_bounds(c):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast sweeps are said to be: compilation is left out wherever it happens."""
+"""How fast sweeps are reported to be: compilation is left out wherever it happens."""
 
 import importlib
 from pathlib import Path

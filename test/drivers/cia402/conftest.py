@@ -41,13 +41,13 @@ class Drive:
                if not key.startswith('emulated__')}})
         self.emulator = Cia402Emulator(schema.build(EmulatedParameters, emulated),
                                        self.configuration)
-        self.said = []
+        self.reported = []
         self._end = threading.Event()
         self._drivers = []
         self.place = self.emulator.open()
         self.node = self.emulator.node
         self._thread = threading.Thread(target=self.emulator.run,
-                                        args=(self._end.is_set, self.said.append))
+                                        args=(self._end.is_set, self.reported.append))
         self._thread.start()
 
     def driver(self, **overrides):

@@ -76,8 +76,8 @@ class Machine:
         self._opened.append(found)
         return found
 
-    def heard(self, count):
-        """Return the identifiers of so many frames from now on."""
+    def received(self, count):
+        """Return the identifiers of this number of frames from now on."""
         while self.watch.recv(0) is not None:
             pass
         return [self.watch.recv(TIME_OUT).arbitration_id for _ in range(count)]
@@ -138,7 +138,7 @@ def test_one_sync_and_one_heartbeat_serve_all_drives(machine, drive_all, until):
     hosted = moving(m, drive_all)
     assert len({id(item.driver.shared) for item in hosted.each}) == 1
     assert sum(item.name == 'cia402' for item in threading.enumerate()) == 1
-    frames = m.heard(400)
+    frames = m.received(400)
     syncs = frames.count(0x80)
     assert syncs > 20
     for node in (1, 2, 3):                    # one answer of each kind to each of them
@@ -210,7 +210,7 @@ def test_the_bus_is_left_with_the_last_drive_and_opened_again(machine, drive_all
     for item in hosted.each[:2]:
         item.close()
     assert [drive.parameters.node_id for drive in shared.drives] == [3]
-    assert m.heard(10)
+    assert m.received(10)
     hosted.close()
     assert shared.drives == ()
     assert shared.served == 0

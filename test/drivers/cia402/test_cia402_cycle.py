@@ -49,13 +49,13 @@ def test_the_phase_is_that_of_the_punctual_samples(late, stalls):
     for place, more in stalls:
         late[place] += more
     for k, error in enumerate(late):
-        said = found.sample_ended(1.0 + k * T + error, k * T)
-    assert abs(said - (1.0 + 299 * T)) < 0.0008
+        reported = found.sample_ended(1.0 + k * T + error, k * T)
+    assert abs(reported - (1.0 + 299 * T)) < 0.0008
     due = found.next(10.0, 0.0)
     assert distance(due, 1.0) < 0.0008
 
 
-def test_a_loop_that_begins_anew_has_another_phase():
+def test_a_loop_that_begins_again_has_another_phase():
     found = Phase(T)
     for k in range(100):
         found.sample_ended(k * T, k * T)
@@ -64,7 +64,7 @@ def test_a_loop_that_begins_anew_has_another_phase():
 
 
 class Bus:
-    """Takes frames and remembers them; says what state the drive is in."""
+    """Takes frames and remembers them; reports what state the drive is in."""
 
     def __init__(self, **values):
         self.parameters = replace(Cia402Parameters(), **values)
@@ -154,7 +154,7 @@ def test_no_target_leaves_before_the_drive_is_enabled(run):
     bus.wait(lambda: bus.commands()[-1] == (0x0F, 500))
 
 
-def test_a_fault_stops_the_drive_whatever_the_loop_says(run):
+def test_a_fault_stops_the_drive_whatever_the_loop_reports(run):
     bus, cycle = run(command_hold=60.0)
     cycle.want(Goal.ENABLED, 500)
     bus.wait(lambda: (0x0F, 500) in bus.commands())
@@ -186,7 +186,7 @@ def test_stopping_twice():
 
 
 class Silent:
-    """A bus that nobody is on."""
+    """A bus without nodes."""
 
     def __init__(self):
         p = replace(Cia402Parameters(), heartbeat_hold=0.2)

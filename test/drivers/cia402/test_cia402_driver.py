@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver against the simulated drive: life, commands, measurements, what it refuses."""
+"""The driver against the simulated drive: lifecycle, commands, measurements, what it refuses."""
 
 import builtins
 from dataclasses import replace
@@ -44,7 +44,7 @@ def test_from_nothing_to_a_moving_axis_and_back(drive, until):
     assert driver.measure() is None
 
 
-def test_what_the_drive_was_told(drive):
+def test_what_the_drive_was_commanded(drive):
     d = drive(driver__quick_stop=5, driver__max_torque=2.0)
     d.driver().open()
     sdo = d.node.canopen.sdo
@@ -99,9 +99,9 @@ def test_the_position_is_that_of_the_sample(drive, until, monkeypatch, extrapola
     driver.bus.position.forget()
     monkeypatch.setattr('dz_ros.drivers.cia402.driver.time.monotonic', lambda: 100.0)
     driver.shared.sync([driver.bus])
-    hear = driver.bus.network.notify
-    hear(0x281, bytearray(bytes.fromhex('000002000000')), 0.0)      # 2 turns/s
-    hear(0x181, bytearray(bytes.fromhex('3712000001000a')), 0.0)    # 1 turn
+    receive = driver.bus.network.notify
+    receive(0x281, bytearray(bytes.fromhex('000002000000')), 0.0)      # 2 turns/s
+    receive(0x181, bytearray(bytes.fromhex('3712000001000a')), 0.0)    # 1 turn
     x = 2.0 * math.pi
     more = 4.0 * math.pi * 0.0015 if extrapolate else 0.0
     monkeypatch.setattr('dz_ros.drivers.cia402.driver.time.monotonic', lambda: 100.003)
@@ -176,7 +176,7 @@ def test_a_drive_in_fault_from_before_is_enabled(drive):
     assert driver.fault() == ''
 
 
-def test_nobody_there(drive):
+def test_no_drive_there(drive):
     d = drive()
     driver = d.driver(driver__node_id=9, driver__answer_limit=0.05)
     with pytest.raises(DriverError) as caught:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of drive and bus: told once, latched, the drive stopped, left by recover."""
+"""Faults of drive and bus: reported once, latched, the drive stopped, left by recover.
+
+Over 300 lines: one test for each fault that drive or bus can have.
+"""
 
 import itertools
 
@@ -43,7 +46,7 @@ def test_a_fault_is_latched_until_recover(drive, until, fault, words, state):
     d = drive()
     driver = moving(d, until)
     d.fault(fault, duration=5.0)
-    # The loop goes on commanding until it is told; that must not move the drive.
+    # The loop goes on commanding until the fault reaches it; that must not move the drive.
     until(lambda: driver.command(2.0, 0.0) or driver.fault())
     assert driver.fault() == words
     until(lambda: driver.command(2.0, 0.0) or d.node.device.state is state)
@@ -57,13 +60,13 @@ def test_a_drive_that_restarts(drive, until):
     d.fault('restart', duration=0.0)
     until(driver.fault)
     assert driver.fault() == 'the drive has restarted'
-    assert d.node.canopen.sdo[0x1017].raw == 0            # it has forgotten what it was told
+    assert d.node.canopen.sdo[0x1017].raw == 0            # its settings are forgotten
     until(lambda: driver.measure() is None)
     back(d, driver, until)
     assert d.node.canopen.sdo[0x1017].raw == 50
 
 
-def test_a_drive_that_restarts_where_nobody_hears_it(drive, until):
+def test_a_drive_that_restarts_unnoticed(drive, until):
     d = drive(driver__absolute_encoder=False)
     driver = moving(d, until)
     d.fault('restart', duration=2.0)
@@ -85,7 +88,7 @@ def test_bus_off_of_the_drive(drive, until):
     with pytest.raises(DriverError, match='no answer within'):
         driver.recover()
     assert driver.fault()
-    until(lambda: 'end of fault bus-off' in d.said)
+    until(lambda: 'end of fault bus-off' in d.reported)
     assert d.node.device.state in (S.FAULT, S.REACTING)    # its own watchdog: EMCY 8250h, unheard
     assert d.node.device.error_code in (0x8250, 0x8130)
     back(d, driver, until)
@@ -137,7 +140,7 @@ def lose_the_bus(driver, until):
 def beyond_the_wrap(d, driver, until):
     """Have driver and drive past the end of the 32 bits of the position; return x of a whole."""
     whole = 2 ** 32 * abs(driver.scaling.position)
-    position = driver.bus.position             # as after so many turns
+    position = driver.bus.position             # as after this number of turns
     position.last = (position.last[0] + 2 ** 32, *position.last[1:])
     until(lambda: (driver.measure() or (0.0,))[0] > 0.9 * whole)
     return whole
@@ -189,7 +192,7 @@ def test_a_fault_that_lasts(drive, until):
     with pytest.raises(DriverError, match=r'remains in fault; error code \(603Fh\) 7305h'):
         driver.recover()
     assert driver.fault() == 'the drive remains in fault'
-    until(lambda: 'end of fault stuck' in d.said)
+    until(lambda: 'end of fault stuck' in d.reported)
     back(d, driver, until)
 
 
@@ -211,7 +214,7 @@ def test_the_drive_stops_by_itself_when_our_process_is_gone(drive, until):
     assert d.node.device.error_code in (0x8250, 0x8130)
 
 
-def test_a_drive_that_is_told_to_leave_operational_is_a_fault(drive, until):
+def test_a_drive_commanded_to_leave_operational_is_a_fault(drive, until):
     d = drive()
     driver = moving(d, until)
     driver.bus.nmt(0x80)
@@ -252,7 +255,7 @@ def test_faults_on_a_script_begin_with_the_first_command_that_moves(drive, until
     driver.command(2.0, 0.0)
     until(driver.fault)
     assert driver.fault().startswith('EMCY 2350h')
-    assert 'fault emcy' in d.said
+    assert 'fault emcy' in d.reported
 
 
 def test_any_master_asks_for_a_fault_by_sdo(drive, until):
@@ -288,7 +291,7 @@ DEAF = '; it takes no commands, the safe one included'
 def test_another_master_takes_the_drive_out_of_operational(
         drive, until, command, node, words, state):
     import can
-    d = drive(driver__heartbeat=1.0, driver__heartbeat_hold=20.0)    # heard before a heartbeat
+    d = drive(driver__heartbeat=1.0, driver__heartbeat_hold=20.0)    # received before a heartbeat
     driver = moving(d, until)
     with can.Bus(interface='virtual',
                  channel=d.configuration.driver_parameters.channel) as other:
@@ -326,7 +329,7 @@ def test_a_drive_that_was_reset_sends_the_heartbeats_of_its_new_state_alone(driv
 
 
 def refusal(driver):
-    """Return what the diagnostics say of the safe command."""
+    """Return what the diagnostics report of the safe command."""
     report = Report()
     driver.report(report)
     return report.message if report.level is Level.ERROR else ''
@@ -361,7 +364,7 @@ def test_a_drive_without_a_reaction_is_stopped_by_sdo(drive, until):
     assert d.node.device.state is S.DISABLED
 
 
-def test_a_drive_that_takes_no_safe_command_is_not_said_to_have_it(drive, until):
+def test_a_drive_that_takes_no_safe_command_is_not_reported_to_have_it(drive, until):
     d = drive(driver__answer_limit=0.05)
     driver = moving(d, until)
     assert not refusal(driver)
@@ -437,7 +440,7 @@ def test_a_drive_that_contradicts_itself(drive, until, fault, value, words, stat
     until(lambda: driver.command(2.0, 0.0) or driver.fault())
     assert driver.fault().startswith(words)
     if fault == 'local':
-        assert d.node.device.state is S.ENABLED     # it hears nothing
+        assert d.node.device.state is S.ENABLED     # it receives nothing
         until(lambda: refusal(driver))
     for _, end, _ in d.emulator.ends:
         end()
@@ -446,7 +449,7 @@ def test_a_drive_that_contradicts_itself(drive, until, fault, value, words, stat
 
 
 def test_a_drive_that_repeats_itself_at_rest(drive, until):
-    """Nothing moves in what it says; that its torque does not follow the target gives it away."""
+    """Nothing moves in its answers; that its torque does not follow the target shows it."""
     d = drive(plant__cogging_torque=0.0)        # which would have it creep
     driver = moving(d, until)
     targets = itertools.cycle([0.1, 0.2, 0.3, 0.15])     # inside of the dead-zone: it stands
@@ -498,8 +501,8 @@ def test_answers_in_another_order_are_joined_all_the_same(drive, until):
 
     until(look)
     assert driver.fault() == ''
-    said = [item.synced_at for item in found]
-    assert said == sorted(set(said))
+    reported = [item.synced_at for item in found]
+    assert reported == sorted(set(reported))
     scaling = driver.scaling
     assert {(scaling.counts(item.x), scaling.number(item.speed)) for item in found} <= sent
 
@@ -520,7 +523,7 @@ def test_another_master_that_changes_the_mode(drive, until):
 
 @pytest.mark.parametrize(('option', 'state'), [(1, S.FAULT), (2, S.DISABLED),
                                                (3, S.QUICK_STOP)])
-def test_the_emulated_drive_reacts_as_6007h_says(drive, until, option, state):
+def test_the_emulated_drive_reacts_as_6007h_states(drive, until, option, state):
     d = drive(driver__abort_connection=option)
     driver = moving(d, until)
     cycle, driver.cycle = driver.cycle, None
@@ -530,7 +533,7 @@ def test_the_emulated_drive_reacts_as_6007h_says(drive, until, option, state):
 
 
 @pytest.mark.parametrize(('behaviour', 'state'), [(0, 'PRE-OPERATIONAL'), (2, 'STOPPED')])
-def test_the_emulated_drive_leaves_operational_as_1029h_says(drive, until, behaviour, state):
+def test_the_emulated_drive_leaves_operational_as_1029h_states(drive, until, behaviour, state):
     d = drive()
     driver = moving(d, until)
     driver.bus.sdo.write(ERROR_BEHAVIOUR, behaviour)
@@ -539,7 +542,7 @@ def test_the_emulated_drive_leaves_operational_as_1029h_says(drive, until, behav
     until(lambda: d.node.canopen.nmt.state == state)
 
 
-def test_the_emulated_drive_coasts_where_605eh_says_so(drive, until):
+def test_the_emulated_drive_coasts_where_605eh_reports_it(drive, until):
     d = drive(driver__fault_reaction=0)
     driver = moving(d, until)
     until(lambda: driver.command(2.0, 0.0) or (driver.measure() or (0.0, 0.0))[1] > 0.3)

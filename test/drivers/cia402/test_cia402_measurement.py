@@ -62,7 +62,7 @@ fates = st.lists(st.tuples(st.integers(0, 5), st.sampled_from(
 @settings(deadline=None, max_examples=3 * settings.default.max_examples)
 @given(fates, fates, st.booleans())
 def test_a_sample_holds_answers_to_one_sync_only(position, velocity, swapped):
-    answers, heard = Answers(2), []
+    answers, received = Answers(2), []
     streams = [position, velocity]
     number = min(map(len, streams))
     for k in range(number):
@@ -73,12 +73,12 @@ def test_a_sample_holds_answers_to_one_sync_only(position, velocity, swapped):
             for item in due:
                 found = answers.take(stream, (item,))
                 if found is not None:
-                    heard.append(found)
-    for synced_at, values in heard:
+                    received.append(found)
+    for synced_at, values in received:
         assert {round(synced_at / T)} == {value for (value,) in values}
     undisturbed = [k for k in range(3, number) if all(
         fates_[j] == IN_TIME for fates_ in streams for j in range(k - 3, k + 1))]
-    assert set(undisturbed) <= {round(synced_at / T) for synced_at, _ in heard}
+    assert set(undisturbed) <= {round(synced_at / T) for synced_at, _ in received}
 
 
 def test_two_nodes_that_answer_are_counted_and_one_late_answer_is_not():
@@ -113,7 +113,7 @@ def test_a_counter_is_followed_across_its_end(modulus, start, turns, measured):
     assert follow.follow(7, 0.0, 99.0) == (7, '')
 
 
-def test_a_counter_that_ends_earlier_than_was_said_is_a_jump():
+def test_a_counter_that_ends_earlier_than_was_reported_is_a_jump():
     follow = Position(65536.0)
     assert follow.follow(65000, 1e5, 0.0)[1] == ''
     counts, wrong = follow.follow(65500 - 65536, 1e5, T)
@@ -121,7 +121,7 @@ def test_a_counter_that_ends_earlier_than_was_said_is_a_jump():
     assert 'jumps by -65036 counts where the velocity gives 500' in wrong
     assert 'driver.position_range' in wrong
     assert follow.lost
-    assert follow.follow(500, 1e5, 2 * T) == (None, '')     # said once, never believed again
+    assert follow.follow(500, 1e5, 2 * T) == (None, '')     # reported once, never believed again
 
 
 def test_a_narrow_counter_is_not_followed_blindly():
@@ -139,24 +139,24 @@ def test_a_narrow_counter_is_not_followed_blindly():
 
 
 def again(repeats, answers, speed=0.0, target=lambda _k: 0, number=2 * FROZEN):
-    """Return what is said of one answer that comes again and again."""
-    said = [repeats.look(answers, speed, k * T, target(k)) for k in range(number)]
-    assert not any(said[:FROZEN])
-    return said[-1]
+    """Return what is reported of one answer that comes again and again."""
+    reported = [repeats.look(answers, speed, k * T, target(k)) for k in range(number)]
+    assert not any(reported[:FROZEN])
+    return reported[-1]
 
 
-def test_the_same_answer_again_and_again_while_it_says_that_it_moves():
+def test_the_same_answer_again_and_again_while_it_reports_that_it_moves():
     repeats = Repeats(100.0)
     assert again(repeats, [(39, 1), (3, 0)], 3000.0) == (
         'the drive repeats one answer: its position stands still at a velocity of 3000 counts/s')
     assert repeats.look([(39, 2), (3, 0)], 3000.0, 1.0, 0) == ''         # another one
     assert again(repeats, [(39, 3), (0, 0)], 0.0, number=1000) == ''       # it stands
-    assert again(repeats, [(39, 4)], float('nan'), number=1000) == ''      # nobody knows
+    assert again(repeats, [(39, 4)], float('nan'), number=1000) == ''      # unknown
 
 
 def test_the_same_answer_again_and_again_while_the_target_changes():
     repeats, swinging = Repeats(100.0), lambda k: 300 * (k % 2)
-    assert again(repeats, [(39, 1), (0, 0)], target=swinging) == ''        # it tells no torque
+    assert again(repeats, [(39, 1), (0, 0)], target=swinging) == ''        # it reports no torque
     for torque in range(LIVE):
         repeats.look([(39, 1), (0, torque)], 0.0, 0.0, torque)
     assert again(repeats, [(39, 1), (0, 77)], target=lambda k: 50 * (k % 2)) == ''

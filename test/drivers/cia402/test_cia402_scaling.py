@@ -14,7 +14,7 @@ from dz_ros.drivers.cia402.settings import Cia402Parameters
 from dz_ros.errors import ConfigurationError
 
 
-def test_a_rotary_axis_with_a_gear_by_hand():
+def test_a_rotary_axis_with_a_gear_in_numbers():
     # Gear 100, 20 bits: a quarter of an output turn is 25 motor turns.
     s = Scaling.of(Cia402Parameters(counts_per_rev=2 ** 20, gear=100.0, rated_torque=0.64,
                                     torque_per_command=0.08, max_torque=2.5))
@@ -33,7 +33,7 @@ def test_a_lead_screw_in_millimetres_that_turns_the_other_way():
     assert s.target(0.5) == -500
 
 
-def test_velocity_mode_by_hand():
+def test_velocity_mode_in_numbers():
     # rpm drive: 1 unit/s of the output = 2 motor turns a second = 120 1/min.
     s = Scaling.of(Cia402Parameters(mode='velocity', velocity_counts=60.0, gear=2.0,
                                     unit_per_rev=1.0, speed_per_command=1.0, max_speed=3000.0))

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drives that are stricter or other than usual: taken as they are and verified, or refused."""
+"""Drives that are stricter or other than usual: taken as they are and verified, or refused.
+
+Over 300 lines: one test for each way in which a drive is other than usual.
+"""
 
 import math
 
@@ -32,7 +35,7 @@ def lack(d, *indices):
 
 
 def preset(d, item, value):
-    """Have a drive hold a value before anybody writes it."""
+    """Have a drive hold a value before it is written."""
     entry = d.node.canopen.object_dictionary[item.index]
     (entry[item.sub] if item.sub else entry).default = value
 
@@ -68,7 +71,7 @@ def test_the_bit_for_remote_requests_stays_as_the_drive_has_it(drive, until, mon
 
 
 @pytest.mark.parametrize('bit', [0, objects.NO_RTR])
-def test_a_drive_that_tells_one_bit_and_takes_the_other(drive, until, monkeypatch, bit):
+def test_a_drive_that_reports_one_bit_and_takes_the_other(drive, until, monkeypatch, bit):
     monkeypatch.setattr('dz_ros.drivers.cia402.node.DriveNode.request_bit',
                         lambda _node, index: bit if 0x1800 <= index < 0x1804 else 0)
     d = drive()
@@ -124,7 +127,7 @@ def test_sync_with_a_counter_is_switched_off_or_refused(drive, until):
         d.driver().open()
 
 
-def test_a_drive_that_sends_sync_itself_is_told_not_to(drive):
+def test_a_drive_that_sends_sync_itself_is_stopped_from_it(drive):
     d = drive()
     preset(d, objects.SYNC_ID, 0x40000080)
     driver = d.driver()
@@ -149,7 +152,7 @@ def test_an_answer_to_another_masters_request_is_waited_out(drive, until):
     client = driver.bus.sdo._client
     send = client.send_request
 
-    def between(request):       # somebody else's answer comes first, once
+    def between(request):       # another master's answer comes first, once
         client.send_request = send
         client.on_response(0x581, bytes.fromhex('4318100100000000'), 0.0)
         send(request)
@@ -208,7 +211,7 @@ def test_a_mode_changed_between_open_and_enable_is_found(drive, until):
     assert d.node.device.state is S.ENABLED
 
 
-def test_a_drive_that_holds_itself_to_less_is_refused_and_to_more_is_told(drive):
+def test_a_drive_that_holds_itself_to_less_is_refused_and_to_more_is_reported(drive):
     d = drive()
     refuse(d, lambda index, sub, value: index == 0x6072, READ_ONLY)
     preset(d, objects.MAX_TORQUE, 2500)
@@ -222,7 +225,7 @@ def test_a_drive_that_holds_itself_to_less_is_refused_and_to_more_is_told(drive)
         driver).message
 
 
-def test_a_drive_found_enabled_is_stopped_before_it_is_told_anything(drive):
+def test_a_drive_found_enabled_is_stopped_before_any_setting(drive):
     d = drive()
     d.node.device.state = S.ENABLED
     d.driver().open()
@@ -283,7 +286,7 @@ def test_a_drive_whose_reaction_stays_off_is_refused(drive):
         d.driver().open()
 
 
-def test_other_reactions_than_asked_for_are_told(drive):
+def test_other_reactions_than_asked_for_are_reported(drive):
     d = drive()
     refuse(d, lambda index, sub, value: index in (0x6007, 0x605A, 0x605E, 0x1029), OUT_OF_RANGE)
     preset(d, objects.ABORT_CONNECTION, 2)
@@ -300,7 +303,7 @@ def test_other_reactions_than_asked_for_are_told(drive):
 # Counters.
 
 def turns(d, driver, until, number):
-    """Drive the axis over so many turns; return x at the end, and what the plant says."""
+    """Drive the axis over this number of turns; return x at the end, and that of the plant."""
     goal = 2.0 * math.pi * number
     until(lambda: driver.command(8.0, 0.0) or driver.fault()
           or d.node.motor.plant.x[0] > goal)
@@ -320,7 +323,7 @@ def test_a_modulo_axis_is_followed_over_its_turns(drive, until, counts):
     assert measured > 2.0 * math.pi * counts / 65536 * 2
 
 
-def test_a_narrow_counter_that_nobody_told_of_is_a_fault_and_can_be_told(drive, until):
+def test_a_narrow_counter_not_configured_is_a_fault_and_can_be_configured(drive, until):
     d = drive(emulated__position_range=65536, emulated__reports_range=False)
     driver = d.enabled()
     until(lambda: driver.command(8.0, 0.0) or driver.fault())
@@ -354,7 +357,7 @@ def test_a_range_of_all_32_bits_is_none(drive):
     assert not driver.bus.position.narrow
 
 
-def test_a_narrow_counter_that_was_not_heard_too_long_is_not_driven_on(drive, until):
+def test_a_narrow_counter_that_was_not_received_too_long_is_not_driven_on(drive, until):
     d = drive(emulated__position_range=65536, driver__answer_limit=1.0)
     driver = d.enabled()
     until(lambda: driver.command(8.0, 0.0) or (driver.measure() or (0.0, 0.0))[1] > 3.0)

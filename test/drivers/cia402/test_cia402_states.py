@@ -71,7 +71,7 @@ def test_every_statusword_has_at_most_one_state_and_unknown_ones_have_none():
 
 
 @pytest.mark.parametrize('state', list(S))
-def test_the_device_says_its_state_so_that_it_is_understood(state):
+def test_the_device_reports_its_state_so_that_it_is_understood(state):
     made = device(state)
     for made.standing in (False, True):
         for made.limited in (False, True):
@@ -181,10 +181,10 @@ def test_an_answer_to_the_goal_before_is_no_fault(stopped):
     way = Walk(1.0, settle=0.1)
     way.want(Goal.ENABLED, 0.0)
     assert way.look(S.ENABLED, 1.0, 1.0)[1] == ''
-    way.want(Goal.SAFE, 1.0)        # a quick stop, taken back before the drive has said a word
+    way.want(Goal.SAFE, 1.0)        # a quick stop, taken back before the drive has reported a word
     way.look(S.ENABLED, 1.0, 1.0)
     way.want(Goal.ENABLED, 1.002)
-    assert way.look(S.ENABLED, 1.0, 1.3) == (Controlword.ENABLE_OPERATION, '')     # said before
+    assert way.look(S.ENABLED, 1.0, 1.3) == (Controlword.ENABLE_OPERATION, '')    # reported before
     assert way.look(S.ENABLED, 1.05, 1.3) == (Controlword.ENABLE_OPERATION, '')
     assert way.look(stopped, 1.06, 1.1)[1] == ''
     assert way.look(S.ENABLED, 1.2, 1.2)[1] == ''
@@ -210,16 +210,16 @@ def test_a_slow_drive_that_drops_out_by_our_detour_has_not_left_by_itself():
     assert 'by itself' in way.look(S.DISABLED, 0.6, 0.6)[1]
 
 
-def test_a_drive_that_does_not_stop_is_said_not_to_and_one_old_answer_is_not():
+def test_a_drive_that_does_not_stop_is_reported_not_to_and_one_old_answer_is_not():
     for goal, state in ((Goal.SAFE, S.ENABLED), (Goal.OFF, S.QUICK_STOP), (Goal.OFF, S.ENABLED)):
         way = Walk(5.0, settle=0.1)
         way.want(goal, 1.0)
         for k in range(100):        # the same word, looked at again and again
             assert way.look(state, 1.2, 1.2 + k)[1] == ''
-        said = [way.look(state, 1.3 + k, 1.3 + k)[1] for k in range(Walk.REFUSALS)]
-        assert said[-2] in ('', said[-1])
-        assert said[0] == ''
-        assert said[-1] == f'the drive does not take the command to stop: {state.value}'
+        reported = [way.look(state, 1.3 + k, 1.3 + k)[1] for k in range(Walk.REFUSALS)]
+        assert reported[-2] in ('', reported[-1])
+        assert reported[0] == ''
+        assert reported[-1] == f'the drive does not take the command to stop: {state.value}'
         assert stopped(goal, S.DISABLED)
         assert way.look(S.DISABLED, 90.0, 90.0)[1] == ''
     assert stopped(Goal.SAFE, S.QUICK_STOP)
@@ -235,10 +235,10 @@ def test_a_bit_that_a_drive_has_kept_and_drops_is_a_contradiction(bit, words):
     assert promises.look(whole) == ''
     assert promises.look(whole & ~bit) == ''            # once may be a moment
     assert promises.look(0x21) == ''                    # not enabled: nothing is promised
-    said = [promises.look(whole & ~bit) for _ in range(30)]
-    assert said[0] == ''
-    assert said[-1].startswith('the drive reports operation enabled, but it')
-    assert words in said[-1]
+    reported = [promises.look(whole & ~bit) for _ in range(30)]
+    assert reported[0] == ''
+    assert reported[-1].startswith('the drive reports operation enabled, but it')
+    assert words in reported[-1]
 
 
 @pytest.mark.parametrize(('code', 'after', 'fault'), [

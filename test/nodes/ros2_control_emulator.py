@@ -8,7 +8,7 @@ effort_controllers/JointGroupEffortController ('effort'), each a node of its own
   deactivates the controller at the next cycle; a command is held for ever; an inactive controller
   takes none, and forgets what came before it was activated; the effort controller writes 0 when it
   is deactivated, the other leaves the last command in the interface;
-- `~/get_parameters` tells `joints` and `interface_name`, `~/transition_event` each change;
+- `~/get_parameters` reports `joints` and `interface_name`, `~/transition_event` each change;
 - `/controller_manager/activity` has the state of each controller, latched;
 - the broadcaster's message has position, velocity and effort of every joint, NaN where the
   hardware has no such interface, in an order of its own, stamped with the time of the cycle.
@@ -16,11 +16,11 @@ effort_controllers/JointGroupEffortController ('effort'), each a node of its own
 Usage: CONFIG KIND [KEY=VALUE ...], with rate (of the manager [Hz]), joints (of the controller,
 separated by commas), interface, active (1 from the start), delay (of the joint states after their
 stamp [s]), log (file of lines "instant positions", written at the end), namespace, activity (1 =
-published, in place of transition events). What the test wants is said on the topic `do`, one word:
+published, in place of transition events). What the test wants is on the topic `do`, one word:
 activate, deactivate, unload (with activity), silence, speak, nan, number, rename, name, freeze,
 run, positions, all, blind, seeing (velocity NaN or not), stuck, moving (values frozen, stamps
-running), part, whole (the last joint left out or not), another (a joint_state_publisher that says
-0 begins), home (the joints are brought back to 0, at rest, as by a person); nan, rename and blind
+running), part, whole (the last joint left out or not), another (a joint_state_publisher of 0
+begins), home (the joints are brought back to 0, at rest, as by a person); nan, rename and blind
 are of the last joint. What the hardware holds is on `interface`: [active, command, position,
 instant [s of the steady clock]]; of several joints lists, commands in the order of the controller,
 positions in that of the axes.
@@ -76,7 +76,7 @@ class Controller:
             self._activity = self.node.create_publisher(
                 ControllerManagerActivity, 'controller_manager/activity',
                 QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL))
-            self.tell()
+            self.report()
         else:
             self._events = self.node.create_publisher(TransitionEvent, '~/transition_event', 10)
         self.node.create_subscription(Float64MultiArray, '~/commands', self.command, 10)
@@ -98,9 +98,9 @@ class Controller:
         if not active and KIND == 'effort':
             self.interface = [0.0] * len(self.joints)
         if self._activity is not None:
-            self.tell()
+            self.report()
 
-    def tell(self):
+    def report(self):
         """Publish the states of all controllers, as the manager does."""
         from controller_manager_msgs.msg import ControllerManagerActivity, NamedLifecycleState
         active = State(id=State.PRIMARY_STATE_ACTIVE, label='active')
@@ -139,8 +139,8 @@ class Robot:
             executor.add_node(node)
         self._clock = manager.get_clock()
         self._states = broadcaster.create_publisher(JointState, 'joint_states', 10)
-        self._told = manager.create_publisher(String, '/stand_in/interface', 10)
-        manager.create_subscription(String, '/stand_in/do', self.do, 10)
+        self._reported = manager.create_publisher(String, '/emulator/interface', 10)
+        manager.create_subscription(String, '/emulator/do', self.do, 10)
         manager.create_timer(1.0 / float(OPTIONS['rate']), self.update)
 
     def do(self, message):
@@ -186,7 +186,7 @@ class Robot:
                 # A controller of another joint would be seen to move it all the same.
                 plant.command(given.get(joint, held[0]), now - self._start)
         one = len(self._joints) == 1
-        self._told.publish(String(data=json.dumps(
+        self._reported.publish(String(data=json.dumps(
             [self._controller.active, held[0] if one else held, x[0] if one else x, now])))
 
     def message(self, x, speed):

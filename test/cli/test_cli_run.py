@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`dz run`: what is refused before a node starts."""
+
+import pytest
+
+from dz_ros.cli.main import main
+
+
+@pytest.mark.parametrize(('words', 'message'), [
+    (('--set', 'controller.lambda=fast'), 'controller.lambda = '),
+    (('--set', 'controller.lambda=-1'), '> 0'),
+    (('--set', 'controller.lambda=.inf'), 'finite'),
+    (('--set', 'plant.model=unicorn'), 'known: wang2004'),
+    (('--set', 'controller.theta_0=[1, 2, 3]'), '2 numbers'),
+    (('--namespace', 'not a name'), '--namespace'),
+    (('no_such_file.yaml',), 'no_such_file.yaml'),
+])
+def test_a_users_mistake_is_one_line_and_exit_code_two(tmp_path, capsys, words, message):
+    assert main(['run', *words, '--record', str(tmp_path / 'run')]) == 2
+    printed, error = capsys.readouterr()
+    assert printed == ''
+    assert error.startswith('dz: error: ')
+    assert error.count('\n') == 1
+    assert message in error
+    assert not (tmp_path / 'run').exists()
+
+
+def test_an_existing_directory_is_not_touched(tmp_path, capsys):
+    assert main(['run', '--record', str(tmp_path)]) == 2
+    assert 'never overwritten' in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
