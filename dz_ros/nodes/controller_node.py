@@ -244,8 +244,8 @@ class ControllerNode(ManagedNode):
         command, terms = answer
         hold = 0.0 if self.lockstep or not taken_ns else (
             time.monotonic_ns() - taken_ns) * 1e-9
-        if hold:
-            self._holds.add(hold)
         self._publish_command((*command.numbers()[:-1], hold) if len(self._healths) == 1 else
                               Rows(row._replace(hold=hold) for row in command).numbers())
         self._publish_terms(terms.numbers())
+        if hold:
+            self._holds.add(hold)

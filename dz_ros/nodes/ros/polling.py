@@ -131,5 +131,22 @@ class PolledSubscriptions:
         return taken
 
 
+def taker(subscription: Subscription, received: Callable[[bytes], None]) -> Callable[[], bool]:
+    """Return the function that hands over a message that has come; False = there is none.
+
+    An executor that serves the subscription as well finds nothing where this came first.
+    """
+    take, message_type = subscription.handle.take_message, subscription.msg_type
+
+    def taken() -> bool:
+        found = take(message_type, True)
+        if found is None:
+            return False
+        received(found[0])
+        return True
+
+    return taken
+
+
 def _never(message: bytes) -> None:
     """Replace the callback that no executor calls."""
