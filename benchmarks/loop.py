@@ -3,8 +3,9 @@
 
     python benchmarks/loop.py [--quick] [--rounds N] [--only PART]
 
-latency    round trip state → command → plant against bare two-process echoes, ticks against a
-           bare absolute-deadline loop
+latency    round trip state → command → plant against bare two-process echoes, and against an
+           echo in the idle time of the same processes; ticks against a bare absolute-deadline
+           loop
 polling    the loop with `process.poll` beside the loop without: round trip, ticks, CPU
 cpu        share of a core of the nodes against bare nodes that send the same, recorded as well
 kilohertz  1 kHz for a minute in all against the bare deadline loop
@@ -53,7 +54,8 @@ def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
              for name in ECHOES if not quick or name in ('events, UDP', 'plain')}
     floor = min((name for name in kinds if name != 'plain'), key=lambda n: kinds[n]['p50'])
     found: dict[str, list[list[float]]] = {name: [] for name in ('loop', 'echo', 'plain', 'fifo',
-                                                                 'period', 'bare')}
+                                                                 'period', 'bare', 'woven',
+                                                                 'between')}
     late = too_late = samples = 0
     for turn in range(rounds):
         found['echo'].append(running.echo(*ECHOES[floor], seconds))
@@ -61,6 +63,9 @@ def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
         found['loop'].append(own.round_trips)
         found['period'].append(own.deviations)
         found['bare'].append(running.bare_ticks(seconds + 0.5))
+        woven, between = running.interleaved(seconds, folder / f'woven-{turn}')
+        found['woven'].append(woven)
+        found['between'].append(between)
         if turn < rounds // 2 or rounds == 1:
             found['plain'].append(running.echo(*ECHOES['plain'], seconds))
         if permitted and turn < rounds // 2:
@@ -84,6 +89,9 @@ def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
         in_turns('round trip over the bare echo, p50', ratios('loop', 'echo', 'p50'), 1.15,
                  detail=f'{pooled("loop")}; {pooled("echo")} ({floor})'),
         in_turns('round trip over the bare echo, p99', ratios('loop', 'echo', 'p99'), 1.3),
+        *(in_turns(f'round trip over an echo in the same processes between the samples, {key}',
+                   ratios('woven', 'between', key), detail='' if key == 'p99' else
+                   f'{pooled("woven")}; {pooled("between")}') for key in ('p50', 'p99')),
         in_turns('round trip over the plain echo, p50', ratios('loop', 'plain', 'p50'), 0.75,
                  detail=pooled('plain')),
         in_turns('ticks, |period − T| over a bare deadline loop, p50',
