@@ -26,24 +26,16 @@ def test_messages_that_come_as_fast_as_they_are_taken_do_not_hold_a_poll(monkeyp
     assert set(taken) == {(b'', 1, 2)}
 
 
-def test_a_node_that_polls_takes_messages_itself_and_what_is_urgent():
-    from dz_ros.nodes.ros.base import LoopNode
-    from dz_ros.nodes.ros.polling import taker
+def test_polling_takes_each_message_and_serves_what_is_urgent_between_them():
+    from dz_ros.nodes.ros.polling import poll_until, taker
 
-    found = iter([None, (b'first', {}), None, (b'second', {})])
+    found = iter([None, (b'first', {}), None, (b'second', {}), (b'third', {})])
     subscription = SimpleNamespace(msg_type='type', handle=SimpleNamespace(
         take_message=lambda kind, raw: next(found) if (kind, raw) == ('type', True) else 1 / 0))
     taken, urgent = [], []
-
-    def no_executor(_limit=0.0):
-        raise AssertionError('the executor was asked')
-
-    node = SimpleNamespace(halted=False, _takers=[taker(subscription, taken.append)],
-                           urgent=lambda: urgent.append(len(taken)), _urgent_at=0.0,
-                           spin=no_executor)
-    node._serve_urgent = lambda now: LoopNode._serve_urgent(node, now)
-    LoopNode.poll_until(node, math.inf, lambda: len(taken) == 2)
+    takers = [taker(subscription, taken.append)]
+    poll_until(takers, math.inf, lambda: len(taken) == 2, lambda _now: urgent.append(len(taken)))
     assert taken == [b'first', b'second']
-    assert urgent[0] == 0
-    LoopNode.poll_until(node, 0.0, lambda: False)       # the time is over: nothing is asked
-    assert next(found, 'all taken') == 'all taken'
+    assert urgent == [0, 0, 1, 1]
+    poll_until(takers, 0.0, lambda: False, lambda _now: 1 / 0)      # the time is over
+    assert next(found) == (b'third', {})

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 import json
 import math
-import os
 import time
 from typing import Any
 
@@ -34,7 +33,7 @@ from dz_ros.core.safety.health import Level, Report
 from dz_ros.core.trajectories.base import Trajectory
 from dz_ros.errors import LoopError, MessageError
 from dz_ros.nodes.ros import graph, topics
-from dz_ros.nodes.ros.polling import PolledSubscriptions, taker
+from dz_ros.nodes.ros.polling import poll_until, PolledSubscriptions, taker
 from dz_ros.nodes.ros.services import Callback, NOT_UNDERSTOOD, outliving
 from dz_ros.recording.axes_cdr import codec_for
 from dz_ros.recording.cdr import decode_string
@@ -374,19 +373,9 @@ class LoopNode(Node):
         """Take the loop's messages without sleeping, past the executor, and what is urgent.
 
         To ask the executor whether there is a message costs more than to take it; what it serves
-        besides waits until the deadline. Other processes with work on this core are let through.
+        besides waits until the deadline.
         """
-        takers = self._takers
-        while not (self.halted or done()):
-            now = time.monotonic()
-            if now >= deadline:
-                return
-            self._serve_urgent(now)
-            for take in takers:
-                if take():
-                    break
-            else:
-                os.sched_yield()
+        poll_until(self._takers, deadline, lambda: self.halted or done(), self._serve_urgent)
 
     def _serve_urgent(self, now: float) -> None:
         """Serve what is urgent, where it is due."""

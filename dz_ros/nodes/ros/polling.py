@@ -9,7 +9,7 @@ so do the loop's nodes in lockstep, where even one wake-up takes longer than the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 import os
 import time
 from typing import Any
@@ -146,6 +146,25 @@ def taker(subscription: Subscription, received: Callable[[bytes], None]) -> Call
         return True
 
     return taken
+
+
+def poll_until(takers: Sequence[Callable[[], bool]], deadline: float, done: Callable[[], bool],
+               urgent: Callable[[float], None]) -> None:
+    """Call `takers` (of `taker`) without sleeping; other processes on this core are let through.
+
+    Args:
+        takers: In the order in which they are called.
+        deadline: End, by the steady clock [s].
+        done: Whether it is over before that.
+        urgent: Called between two messages with the time [s].
+    """
+    while not done() and (now := time.monotonic()) < deadline:
+        urgent(now)
+        for take in takers:
+            if take():
+                break
+        else:
+            os.sched_yield()
 
 
 def _never(message: bytes) -> None:
