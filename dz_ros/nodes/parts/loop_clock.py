@@ -175,14 +175,15 @@ class RealTimeClock(LoopClock):
         return True
 
     def _await_answer(self, ticks: Deadlines) -> None:
-        """Wait for the command, or for the next deadline; poll for it when it is due."""
+        """Wait for the command, for half a period at most; poll for it when it is due."""
         node, last, expected = self._node, time.monotonic() + ticks.remaining(), self._expected
+        half = last - 0.5 * self._period
         if expected is not None:
             last -= self._last_stretch
             asked = self._published_ns[node.seq % REMEMBERED_STATES] * 1e-9
             node.spin_until(min(asked + expected.begin, last), node.answered)
             node.poll_until(min(asked + expected.end, last), node.answered)
-        node.spin_until(last, node.answered)
+        node.spin_until(min(last, half), node.answered)
 
     def _sleep_to_the_end(self, ticks: Deadlines) -> None:
         """Serve callbacks until shortly before the next deadline, then sleep outside of them."""
