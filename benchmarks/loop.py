@@ -3,9 +3,11 @@
 
     python benchmarks/loop.py [--quick] [--rounds N] [--only PART]
 
-latency    round trip state → command → plant against bare two-process echoes, ticks against a
-           bare absolute-deadline loop
-polling    the loop with `process.poll` beside the loop without: round trip, ticks, CPU
+latency    round trip state → command → plant against bare two-process echoes, and against an
+           echo in the idle time of the same processes; ticks against a bare absolute-deadline
+           loop
+polling    the loop with `process.poll`, and with both ends on any core, beside the loop as it is
+           by itself: round trip, ticks, CPU
 cpu        share of a core of the nodes against bare nodes that send the same, recorded as well
 kilohertz  1 kHz for a minute in all against the bare deadline loop
 rates      the highest rate that holds
@@ -30,6 +32,7 @@ sys.path.insert(0, str(ROOT))
 from benchmarks.machine import describe  # noqa: E402
 from benchmarks.speed_kit import running  # noqa: E402
 from benchmarks.speed_kit.rows import brief, in_turns, Row, say, show, spread  # noqa: E402
+from dz_ros.runtime.privileges import usable_cores  # noqa: E402
 
 ECHOES = {'events, UDP': ('events', 'UDPv4'), 'events, shared memory': ('events', ''),
           'wait set, UDP': ('wait', 'UDPv4'), 'plain': ('plain', '')}
@@ -53,7 +56,8 @@ def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
              for name in ECHOES if not quick or name in ('events, UDP', 'plain')}
     floor = min((name for name in kinds if name != 'plain'), key=lambda n: kinds[n]['p50'])
     found: dict[str, list[list[float]]] = {name: [] for name in ('loop', 'echo', 'plain', 'fifo',
-                                                                 'period', 'bare')}
+                                                                 'period', 'bare', 'woven',
+                                                                 'between')}
     late = too_late = samples = 0
     for turn in range(rounds):
         found['echo'].append(running.echo(*ECHOES[floor], seconds))
@@ -61,6 +65,9 @@ def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
         found['loop'].append(own.round_trips)
         found['period'].append(own.deviations)
         found['bare'].append(running.bare_ticks(seconds + 0.5))
+        woven, between = running.interleaved(seconds, folder / f'woven-{turn}')
+        found['woven'].append(woven)
+        found['between'].append(between)
         if turn < rounds // 2 or rounds == 1:
             found['plain'].append(running.echo(*ECHOES['plain'], seconds))
         if permitted and turn < rounds // 2:
@@ -84,6 +91,9 @@ def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
         in_turns('round trip over the bare echo, p50', ratios('loop', 'echo', 'p50'), 1.15,
                  detail=f'{pooled("loop")}; {pooled("echo")} ({floor})'),
         in_turns('round trip over the bare echo, p99', ratios('loop', 'echo', 'p99'), 1.3),
+        *(in_turns(f'round trip over an echo in the same processes between the samples, {key}',
+                   ratios('woven', 'between', key), detail='' if key == 'p99' else
+                   f'{pooled("woven")}; {pooled("between")}') for key in ('p50', 'p99')),
         in_turns('round trip over the plain echo, p50', ratios('loop', 'plain', 'p50'), 0.75,
                  detail=pooled('plain')),
         in_turns('ticks, |period − T| over a bare deadline loop, p50',
@@ -104,24 +114,29 @@ def latency(folder: Path, rounds: int, quick: bool) -> list[Row]:
 
 
 def polling(folder: Path, rounds: int, quick: bool) -> list[Row]:
-    """Return what `process.poll` changes, in turns."""
-    choices = ('none', 'plant', 'both')
+    """Return what `process.poll` and cores of their own change, in turns."""
+    cores = ','.join(map(str, usable_cores()))
+    settings = {'none': 'process.poll=none', 'plant': 'process.poll=plant',
+                'both': 'process.poll=both', 'cores': f'process.cores={cores}'}
+    choices = tuple(settings)
     found: dict[str, list[running.Measured]] = {name: [] for name in choices}
     for turn in range(rounds):
-        for name in choices[turn % 3:] + choices[:turn % 3]:
-            found[name].append(running.loop(2.0 if quick else 4.0, folder / f'{name}-{turn}',
-                                            f'process.poll={name}'))
+        first = turn % len(choices)
+        for name in choices[first:] + choices[:first]:
+            found[name].append(running.loop(3.0 if quick else 4.0, folder / f'{name}-{turn}',
+                                            settings[name]))
         say(f'turn {turn + 1} of {rounds}: round trip p50 ' + ', '.join(
             f'{name} {1e6 * statistics.median(turns[-1].round_trips):.0f}'
             for name, turns in found.items()) + ' µs')
     rows = []
     for name in choices[1:]:
+        label = settings[name].replace('=', ': ')
         for what, values in (('round trip', 'round_trips'), ('ticks, |period − T|', 'deviations')):
             spreads = {item: [spread(getattr(turn, values), 1e6) for turn in found[item]]
                        for item in ('none', name)}
             for key in ('p50', 'p99'):
                 rows.append(in_turns(
-                    f'`process.poll: {name}` over none: {what}, {key}',
+                    f'`{label}` over the loop by itself: {what}, {key}',
                     [one[key] / other[key] for one, other in zip(spreads[name], spreads['none'],
                                                                  strict=True)],
                     detail='; '.join(f'{item} {statistics.median(turn[key] for turn in turns):.0f}'
@@ -129,7 +144,7 @@ def polling(folder: Path, rounds: int, quick: bool) -> list[Row]:
         for node in ('plant_node', 'controller_node'):
             shares = {item: [100.0 * turn.shares[node] for turn in found[item]]
                       for item in ('none', name)}
-            rows.append(in_turns(f'`process.poll: {name}`: CPU of {node} more than with none',
+            rows.append(in_turns(f'`{label}`: CPU of {node} more than by itself',
                                  [one - other for one, other in zip(shares[name], shares['none'],
                                                                     strict=True)],
                                  unit='% of a core'))

@@ -27,6 +27,7 @@ from dz_ros.runtime.process import PARENT
 
 ROOT = Path(__file__).resolve().parents[2]
 BARE = Path(__file__).with_name('bare.py')
+INTERLEAVED = Path(__file__).with_name('interleaved.py')
 TIME_OUT = 120.0
 SETTLED = 1.0
 """What happens in the first second of a loop is not measured [s]."""
@@ -123,11 +124,7 @@ def bare_loop(duration: float, folder: Path) -> dict[str, float]:
 
 def stood_in(duration: float, folder: Path) -> Measured:
     """Return what the loop is like with a bare node in the controller's place, recorded."""
-    parameters = folder.with_suffix('.yaml')
-    write_parameters(load_configuration('robust', ['loop.duration=0.0', 'loop.peers='
-                     '[plant_node, controller_node, trajectory_node, recorder_node]']), parameters)
-    words = ['--ros-args', '--params-file', str(parameters), '--log-level', 'warn']
-    env = environment(profile=True)
+    words, env = arguments(folder), environment(profile=True)
     found = Measured()
     with contextlib.ExitStack() as stack:
         pids = {name: stack.enter_context(process(
@@ -141,6 +138,33 @@ def stood_in(duration: float, folder: Path) -> Measured:
         found.shares = shares(pids, duration)
     judge(found, read_run(folder))
     return found
+
+
+def arguments(folder: Path, duration: float = 0.0) -> list[str]:
+    """Return the arguments of nodes of a loop recorded into `folder`; 0 s = it has no end."""
+    parameters = folder.with_suffix('.yaml')
+    write_parameters(load_configuration('robust', [f'loop.duration={duration}', 'loop.peers='
+                     '[plant_node, controller_node, trajectory_node, recorder_node]']), parameters)
+    return ['--ros-args', '--params-file', str(parameters), '--log-level', 'warn']
+
+
+def interleaved(duration: float, folder: Path) -> tuple[list[float], list[float]]:
+    """Return round trips of a recorded loop, and of an echo in its idle time [s].
+
+    The echo runs in the processes of plant and controller (interleaved.py).
+    """
+    words, env = arguments(folder, duration + SETTLED), environment(profile=True)
+    nodes = (('-m', 'dz_ros.nodes.main', 'recorder_node'),
+             ('-m', 'dz_ros.nodes.main', 'trajectory_node'), (str(INTERLEAVED), 'controller_node'))
+    with contextlib.ExitStack() as stack:
+        for start in nodes:
+            more = ('-p', f'directory:={folder}') if start[-1] == 'recorder_node' else ()
+            stack.enter_context(process([*start, *words, *more], env))
+        plant = stack.enter_context(process([str(INTERLEAVED), 'plant_node', *words], env))
+        echoed = [item * 1e-9 for item in told(plant)['round_trips_ns']]
+    found = Measured()
+    judge(found, read_run(folder))
+    return found.round_trips, echoed[len(echoed) - len(found.round_trips):]
 
 
 def shares(pids: dict[str, int], duration: float) -> dict[str, float]:

@@ -171,7 +171,7 @@ class ProcessSettings:
                               'real time, one less for the trajectory; 0 = as any process',
                               minimum=0, maximum=98, structural=True)
     cores: str = parameter('', '', 'cores that plant or actuator and controller run on, e.g. 2,3 '
-                           'or 2-3; empty = any, in lockstep every other one for each',
+                           'or 2-3; empty = every other one for each',
                            structural=True)
     lock_memory: bool = parameter(False, '', 'keep plant or actuator and controller in RAM',
                                   structural=True)

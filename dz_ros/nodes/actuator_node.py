@@ -70,6 +70,7 @@ class ActuatorNode(ManagedNode):
         self.clock = (LockstepClock if self.lockstep else RealTimeClock)(self, self._guard)
         self.measured: tuple[Any, ...] | None = None
         self._measured_seq = -1
+        self._truth: Any = None
         self._finished = False
         self._rejections = Rejections()
         self._unmeasured = Unmeasured()
@@ -241,16 +242,23 @@ class ActuatorNode(ManagedNode):
         return self.answered_seq == self.seq
 
     def next_sample(self, stamp: float) -> None:
-        """End the sample at a stamp; publish the next one first, which the controller awaits."""
-        truth = self._end_sample(stamp)
+        """End the sample at a stamp; publish the next one, which the controller awaits.
+
+        What a simulated device knows of the sample before is for `publish_truth`.
+        """
+        self._truth = self._end_sample(stamp)
         self.seq += 1
         if not self.publish():
             self._unmeasured.missed(self.seq, self._hosted.absence())
         elif self._unmeasured.due(self.seq, stamp):
             self._publish_unmeasured()
-        if truth is not None:
-            self._publish_truth(truth.numbers())
         self._check_device(stamp)
+
+    def publish_truth(self) -> None:
+        """Publish what a simulated device knows of the sample that has ended, once."""
+        truth, self._truth = self._truth, None
+        if truth is not None and self.offering:
+            self._publish_truth(truth.numbers())
 
     def publish(self) -> bool:
         """Measure and publish the state of the present sample; return False if there is none.
@@ -287,9 +295,8 @@ class ActuatorNode(ManagedNode):
 
     def finish(self, **details: int) -> None:
         """Publish what is left of the last sample."""
-        truth = self._end_sample(self.t)
-        if truth is not None:
-            self._publish_truth(truth.numbers())
+        self._truth = self._end_sample(self.t)
+        self.publish_truth()
         self._publish_unmeasured()
         self._finished = True
         if not self.lockstep:

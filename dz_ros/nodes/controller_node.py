@@ -206,9 +206,14 @@ class ControllerNode(ManagedNode):
 
     def _answer(self, state: Any, taken_ns: int) -> None:
         answer = self._guard.answer(state, taken_ns * 1e-9)
-        self._send(answer, taken_ns)
+        self._send_command(answer, taken_ns)
         if answer is None:
             return
+        self._take_note(state, answer, taken_ns)
+        self._send_terms(answer)
+
+    def _take_note(self, state: Any, answer: Answer, taken_ns: int) -> None:
+        """Count a sample for diagnostics and progress."""
         command, terms = answer
         self._pace.sample(taken_ns * 1e-9, state.stamp)
         if len(self._healths) > 1:
@@ -237,15 +242,24 @@ class ControllerNode(ManagedNode):
                 senders = max(senders, publisher_count(self, topic))
         self._send(self._guard.poll(now, senders))
 
-    def _send(self, answer: Answer | None, taken_ns: int = 0) -> None:
+    def _send(self, answer: Answer | None) -> None:
         """Publish a command, which has passed the limiter, and its terms."""
+        self._send_command(answer)
+        self._send_terms(answer)
+
+    def _send_command(self, answer: Answer | None, taken_ns: int = 0) -> None:
+        """Publish a command; its terms are for later: the actuator needs the core."""
         if answer is None or not self.offering:
             return
-        command, terms = answer
+        command, _ = answer
         hold = 0.0 if self.lockstep or not taken_ns else (
             time.monotonic_ns() - taken_ns) * 1e-9
-        if hold:
-            self._holds.add(hold)
         self._publish_command((*command.numbers()[:-1], hold) if len(self._healths) == 1 else
                               Rows(row._replace(hold=hold) for row in command).numbers())
-        self._publish_terms(terms.numbers())
+        if hold:
+            self._holds.add(hold)
+
+    def _send_terms(self, answer: Answer | None) -> None:
+        """Publish the terms of a command."""
+        if answer is not None and self.offering:
+            self._publish_terms(answer[1].numbers())

@@ -30,7 +30,8 @@ NODES = {'plant_node': 'make_plant_node', 'actuator_node': 'ActuatorNode',
 PRIORITY = {'plant_node': 0, 'actuator_node': 0, 'controller_node': 0, 'trajectory_node': -1}
 """Node that may be set up by the section `process` → its priority less `process.priority`."""
 SIDES = {'plant_node': 0, 'actuator_node': 0, 'controller_node': 1}
-"""In lockstep the two that take turns have every other core each: neither sleeps meanwhile."""
+"""The two that take turns have every other core each: what one sends and what that wakes up does
+not take the core from the other, whose caches stay its own; in lockstep neither sleeps."""
 
 
 def run_node(name: str) -> int:
@@ -126,11 +127,10 @@ def _set_up(name: str, node: Any) -> None:
     wanted, own = configuration.process, PRIORITY[name]
     settle(wanted.collect_garbage)
     realtime = configuration.loop.timing == 'realtime'
-    if not realtime and name in SIDES:
-        if not wanted.core_numbers:
-            ask(cores=usable_cores()[SIDES[name]::2])       # unless configured
-        elif len(wanted.core_numbers) == 1:
-            node.eager = 0.0    # the node to answer needs it
+    if name in SIDES and not wanted.core_numbers:
+        ask(cores=usable_cores()[SIDES[name]::2])       # unless configured
+    elif name in SIDES and len(wanted.core_numbers) == 1:
+        node.eager = 0.0    # in lockstep the node to answer needs it
     refused = ask(max(wanted.priority + own, 1) if realtime and wanted.priority else 0,
                   wanted.core_numbers if own == 0 else (), wanted.lock_memory and own == 0)
     if refused:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes in lockstep: which waits for which, what is served meanwhile, on which cores."""
+"""The nodes in lockstep: which waits for which, what is served meanwhile; their cores."""
 
 import os
 from pathlib import Path
@@ -97,7 +97,12 @@ def test_the_time_is_published_as_clock(loop, operator):
 
 
 @pytest.mark.skipif(len(usable_cores()) < 2, reason='one core: nothing to share out')
-def test_the_two_that_take_turns_share_no_core(loop, processes, operator):
+@pytest.mark.parametrize('timing', ['lockstep', 'realtime'])
+def test_the_two_that_take_turns_share_no_core(processes, operator, timing):
+    words = [f'loop.timing:={timing}' if item == 'loop.timing:=lockstep' else item
+             for item in ARGUMENTS]
+    loop = {name: processes(*NODE, name, *words) for name in NAMES}
+    operator.wait(lambda: len(operator.heard['state']) > 100)
     cores = {name: os.sched_getaffinity(node.pid) for name, node in loop.items()}
     assert not cores['plant_node'] & cores['controller_node']
     assert cores['plant_node'] | cores['controller_node'] == cores['trajectory_node']

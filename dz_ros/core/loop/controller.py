@@ -41,6 +41,8 @@ REFERENCES, REFERENCES_AHEAD = 4, 256
 sent ahead as well."""
 
 
+_ADAPTING = Status.ADAPTING
+"""Before Python 3.12, to ask an enumeration for a member costs a call."""
 Step = tuple[Command, tuple[float, ...], Terms]
 """Command, the law's memory after it, terms."""
 
@@ -117,6 +119,7 @@ class Controller:
         self._y = [0.0] * configuration.plant.regressor_count
         names = self.law.signal_names
         *theta, phi = estimates(self.law.regressor_count)
+        self._scheduled = self.law.schedule_place >= 0
         self._theta_at = [names.index(item.name) for item in theta if item.name in names]
         self._phi_at = [names.index(phi.name)] if phi.name in names else []
 
@@ -156,7 +159,7 @@ class Controller:
         """
         if not self._references:
             raise LookupError('no reference yet')
-        if not all(map(math.isfinite, state.x)):
+        if not math.isfinite(sum(state.x)) and not all(map(math.isfinite, state.x)):
             self.ignored['not_finite'] += 1
             return None
         last = self._last
@@ -208,7 +211,7 @@ class Controller:
             ViolationError: The step must not be taken.
         """
         reference, late = self._reference_for(state.seq, state.stamp)
-        status = Status.ADAPTING if dt > 0.0 else Status.BAD_INTERVAL
+        status = _ADAPTING if dt > 0.0 else Status.BAD_INTERVAL
         if late > 2.0 * self.period:
             dt, status = 0.0, status | Status.STALE_REFERENCE
         self.error = state.x[0] - reference.x_d[0]
@@ -224,7 +227,7 @@ class Controller:
         if v != command.v:
             command = command._replace(v=v)
         self.count += 1
-        if self.law.schedule_place >= 0:
+        if self._scheduled:
             memory = self._measured(memory, state.stamp)
         self._earlier, self.memory = self.memory, memory
         self._signals = terms.signals
@@ -287,9 +290,10 @@ class Controller:
         Raises:
             ViolationError: It may not.
         """
-        numbers = (command.v, *memory, *terms.values, *terms.signals)
         # A sum that is finite has none but finite terms; the reverse need not be so.
-        if not math.isfinite(sum(numbers)) and not all(map(math.isfinite, numbers)):
+        whole = command.v + sum(memory) + sum(terms.values) + sum(terms.signals)
+        if not math.isfinite(whole) and not all(map(
+                math.isfinite, (command.v, *memory, *terms.values, *terms.signals))):
             raise ViolationError('the law gave a number that is not finite',
                                  (command, memory, terms))
         limits = self.limiter.settings
@@ -333,13 +337,14 @@ class Controller:
 
     def _reference_for(self, seq: int, stamp: float) -> tuple[Reference, float]:
         """Return the reference for this instant and how far it had to be brought [s]."""
-        while len(self._references) > REFERENCES and self._references[0].stamp < stamp - SNAP:
-            self._references.popleft()
+        references = self._references
+        while len(references) > REFERENCES and references[0].stamp < stamp - SNAP:
+            references.popleft()
         likely = self._in_its_place(seq)
         if likely is not None and abs(likely.stamp - stamp) < SNAP:
             return likely, 0.0      # the search below gives the same, slower
-        for reference in self._references:
+        for reference in references:
             if abs(reference.stamp - stamp) < SNAP:
                 return reference, 0.0
-        newest = self._references[-1]
+        newest = references[-1]
         return newest.at(stamp), abs(stamp - newest.stamp)

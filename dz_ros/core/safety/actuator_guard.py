@@ -15,8 +15,8 @@ from dz_ros.core.axes import rows_maker
 from dz_ros.core.plants.base import Plant
 from dz_ros.core.records import Command
 from dz_ros.core.safety.command_limiter import limiter_of
-from dz_ros.core.safety.guards import SequenceGuard, Verdict, Watchdog
-from dz_ros.core.safety.modes import Action, Event, Mode
+from dz_ros.core.safety.guards import SequenceGuard, TAKEN, Verdict, Watchdog
+from dz_ros.core.safety.modes import Action, Event, LOST, RUNNING
 from dz_ros.core.safety.runaway import runaway_text, RunawayGuard
 from dz_ros.core.safety.settings import SafetySettings
 from dz_ros.core.safety.supervisor import Change, Supervisor
@@ -105,7 +105,7 @@ class ActuatorGuard:
         """
         running = self.supervisor.running
         verdict = self.guard.judge(numbers, t, resync=not running)
-        if verdict is not Verdict.TAKEN:
+        if verdict is not TAKEN:
             return None
         command = self._record(numbers)
         limit = self.limiter.settings.echo_limit if self._watch else 0
@@ -141,12 +141,12 @@ class ActuatorGuard:
             return None
         settings, found = self.limiter.settings, None
         hold = settings.command_hold * self._period
-        if self.supervisor.mode is Mode.RUNNING and self._watchdog.older(t, hold):
+        if self.supervisor.mode is RUNNING and self._watchdog.older(t, hold):
             assert self._watchdog.fed is not None
             since = self._watchdog.fed + hold
             self.supervisor.happen(Event.STALE, 'no command')
             found = self.limiter.safe(since), since
-        if (self.supervisor.mode is Mode.LOST
+        if (self.supervisor.mode is LOST
                 and self._watchdog.older(t, settings.fault_after * self._period)):
             self.supervisor.happen(Event.EXPIRED)
         if senders > 1 and self.guard.rivalry(t):

@@ -20,11 +20,13 @@ from dz_ros.core.safety.actuator_guard import FRESH
 from dz_ros.core.safety.guards import (
     FutureGuard,
     ReferenceGuard,
+    REPEATED,
     SequenceGuard,
+    TAKEN,
     Verdict,
     Watchdog,
 )
-from dz_ros.core.safety.modes import Action, Event, LifecycleState, Mode
+from dz_ros.core.safety.modes import Action, ACTIVE, Event, LOST, Mode
 from dz_ros.core.safety.supervisor import Change, Supervisor
 
 Answer = tuple[Any, Any]
@@ -66,8 +68,8 @@ class ControllerGuard:
         self._state_of = rows_maker(State.from_numbers, count)
         self._reference_of = rows_maker(Reference.from_numbers, count)
         self._begins = begins
-        self._settings = configuration.safety
         self._period = configuration.loop.period
+        self._hold(configuration)
         self._watch = configuration.loop.timing == 'realtime'
         self._watchdog = Watchdog()
         self._future = FutureGuard()
@@ -89,8 +91,15 @@ class ControllerGuard:
 
     def configure(self, configuration: Configuration) -> None:
         """Use other gains and limits from the next sample on; the structure is the same."""
-        self._settings = configuration.safety
+        self._hold(configuration)
         self.controller.configure(configuration)
+
+    def _hold(self, configuration: Configuration) -> None:
+        """Take the settings of safety, and what follows of them for every sample."""
+        self._settings = settings = configuration.safety
+        self._state_hold = settings.state_hold * self._period
+        held = settings.reference_hold * self._period
+        self._reference_age = held + 1e-9 if held > 0.0 else math.inf   # more is too old [s]
 
     def reference(self, numbers: Sequence[float], now: float) -> bool:
         """Take a reference message; return whether it was."""
@@ -104,13 +113,13 @@ class ControllerGuard:
         """Take a state message; return the state to be answered, None = not this one."""
         resync = not self.supervisor.running
         verdict = self.state_guard.judge(numbers, now, resync)
-        if verdict not in (Verdict.TAKEN, Verdict.REPEATED):
+        if verdict is not TAKEN and verdict is not REPEATED:
             return None
         state = self._state_of(numbers)
-        if verdict is Verdict.TAKEN and self._watch:
+        if verdict is TAKEN and self._watch:
             if resync:
                 self._future.restart()
-            if self._future.ahead(state.stamp, now, self._settings.state_hold * self._period):
+            if self._future.ahead(state.stamp, now, self._state_hold):
                 self.state_guard.counts[Verdict.FUTURE] += 1
                 return None
         self._newest = state.stamp
@@ -128,7 +137,7 @@ class ControllerGuard:
 
     def answer(self, state: Any, now: float) -> Answer | None:
         """Return the answer to a state that is ready; None where it must not be answered."""
-        if self.supervisor.lifecycle_state is not LifecycleState.ACTIVE:
+        if self.supervisor.lifecycle_state is not ACTIVE:
             return None
         self._state = state
         reason = self._input_fault(state) if self._watch else ''
@@ -159,9 +168,9 @@ class ControllerGuard:
             senders: Number of publishers in the graph, of states or of references, whichever are
                 more.
         """
-        if not self._watch or self.supervisor.lifecycle_state is not LifecycleState.ACTIVE:
+        if not self._watch or self.supervisor.lifecycle_state is not ACTIVE:
             return None
-        hold = self._settings.state_hold * self._period
+        hold = self._state_hold
         if self.supervisor.running and self._watchdog.older(now, hold):
             self._lost, self._repeats = now - hold, 0
             self.supervisor.happen(Event.STALE, 'no state')
@@ -169,7 +178,7 @@ class ControllerGuard:
             topic = 'states' if self.state_guard.rivalry(now) else 'references'
             self._forget_rivals()
             return self.fault(f'{senders} publishers of {topic}')
-        if self.supervisor.mode is not Mode.LOST:
+        if self.supervisor.mode is not LOST:
             return None
         self._expire(now)
         silent = self._watchdog.older(now, hold + self._repeats * self._period)
@@ -220,10 +229,10 @@ class ControllerGuard:
             return ''
         if self._pressed:
             return 'the e-stop is still pressed'
-        if self.supervisor.lifecycle_state is LifecycleState.ACTIVE and self._watch:
+        if self.supervisor.lifecycle_state is ACTIVE and self._watch:
             if self._watchdog.older(now, FRESH * self._period):
                 return 'no state arrives: start the plant or the driver first'
-            if self._overdue(self._state):
+            if self._state.stamp - self.controller.newest_reference() > self._reference_age:
                 return 'no reference arrives: start the trajectory first'
         self._forget_rivals()
         self.controller.memory = released
@@ -251,7 +260,7 @@ class ControllerGuard:
 
     def _input_fault(self, state: Any) -> str:
         """Return what keeps the law from answering this state, empty if nothing does."""
-        if self._overdue(state):
+        if state.stamp - self.controller.newest_reference() > self._reference_age:
             return 'no reference'
         limit = self._settings.echo_limit
         if (limit and state.seq - self._first_seq > limit and state.echo_seq >= 0
@@ -259,15 +268,10 @@ class ControllerGuard:
             return 'the actuator does not take the commands'
         return ''
 
-    def _overdue(self, state: Any) -> bool:
-        """Whether the newest reference is too old for a state."""
-        hold = self._settings.reference_hold * self._period
-        return hold > 0.0 and state.stamp - self.controller.newest_reference() > hold + 1e-9
-
     def _expire(self, now: float) -> None:
         """Latch a fault where the input has been lost for too long."""
         after = self._settings.fault_after * self._period
-        if self.supervisor.mode is Mode.LOST and 0.0 < after < now - self._lost:
+        if self.supervisor.mode is LOST and 0.0 < after < now - self._lost:
             self.supervisor.happen(Event.EXPIRED)
 
     def _forget_rivals(self) -> None:

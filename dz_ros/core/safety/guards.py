@@ -42,6 +42,8 @@ class Verdict(enum.IntEnum):
     BAD_ECHO = 10
 
 
+TAKEN, REPEATED = Verdict.TAKEN, Verdict.REPEATED
+"""What every sample is compared with: before Python 3.12, to ask an enumeration costs a call."""
 WORDS = ('taken', 'not finite', 'seq is no count', 'repeated', 'same seq, other content',
          'seq jumps back', 'seq leaps ahead', 'stamp from the future', 'answers too old a state',
          'stamp is no loop time', 'echo_seq is no count')
@@ -112,7 +114,7 @@ class SequenceGuard:
                      and -1.0 <= numbers[self._echo] < SEQ_LIMIT))):
             self.counts[0] += 1         # as it nearly always is; the rest does the same, slower
             self.last = numbers
-            return Verdict.TAKEN
+            return TAKEN
         verdict = self._verdict(numbers, resync)
         self.counts[verdict] += 1
         if verdict is Verdict.TAKEN:
@@ -191,7 +193,7 @@ class ReferenceGuard(SequenceGuard):
         if self.early(numbers[1], state) and plausible(numbers):
             self.counts[Verdict.FUTURE] += 1    # its seq is none to go by either
             return False
-        return self.judge(numbers, now, resync) is Verdict.TAKEN
+        return self.judge(numbers, now, resync) is TAKEN
 
 
 class Watchdog:

@@ -37,6 +37,11 @@ class Mode(enum.Enum):
     """Safe command, latched by a person."""
 
 
+RUNNING, LOST = Mode.RUNNING, Mode.LOST
+ACTIVE = LifecycleState.ACTIVE
+"""What every sample is compared with: before Python 3.12, to ask an enumeration costs a call."""
+
+
 class Event(enum.Enum):
     """What happens to an end of the loop."""
 

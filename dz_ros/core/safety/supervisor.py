@@ -35,6 +35,7 @@ class Supervisor:
     Attributes:
         lifecycle_state: Primary state of the node.
         mode: Which command is passed on while the node is ACTIVE.
+        running: Whether the law's commands may pass: the mode is RUNNING and the node ACTIVE.
         reason: Why the mode is a latched one or LOST; else empty.
         counts: Event → number of changes of mode by it.
     """
@@ -42,14 +43,10 @@ class Supervisor:
     def __init__(self, changed: Callable[[Change], None] | None = None) -> None:
         self.lifecycle_state = LifecycleState.UNCONFIGURED
         self.mode = Mode.WAITING
+        self.running = False    # worked out once for each change: it is asked in every sample
         self.reason = ''
         self.counts: dict[Event, int] = {}
         self._changed = changed
-
-    @property
-    def running(self) -> bool:
-        """Whether the law's commands may pass."""
-        return self.mode is Mode.RUNNING and self.lifecycle_state is LifecycleState.ACTIVE
 
     @property
     def latched(self) -> bool:
@@ -63,6 +60,7 @@ class Supervisor:
             return Action.NONE
         earlier = self.mode
         self.mode, action = found
+        self._judge()
         if self.mode is not earlier:
             self.counts[event] = self.counts.get(event, 0) + 1
             # A fault that a stale input has become keeps the reason of the input.
@@ -83,4 +81,8 @@ class Supervisor:
         state, event = LIFECYCLE[(self.lifecycle_state, name)]
         action = Action.NONE if event is None else self.happen(event)
         self.lifecycle_state = state
+        self._judge()
         return action
+
+    def _judge(self) -> None:
+        self.running = self.mode is Mode.RUNNING and self.lifecycle_state is LifecycleState.ACTIVE

@@ -104,6 +104,7 @@ class RealTimeClock(LoopClock):
         self._published_ns = [0] * REMEMBERED_STATES
         self._expected = (ExpectedArrival(self._period) if node.polls('plant', 'both')
                           else None)
+        self._last_stretch = min(LAST_STRETCH[0], LAST_STRETCH[1] * self._period)
 
     def stop(self) -> None:
         """Let loop time stand still until the next command."""
@@ -150,8 +151,12 @@ class RealTimeClock(LoopClock):
         node, ticks = self._node, Deadlines(self._period, self.start_ns)
         ticks.index = round(node.t / self._period)
         while not node.halted and ticks.index < last:
+            self._await_answer(ticks)
+            # Not before the answer: it would take a core from those who make it.
+            node.publish_truth()
+            node.diagnostics.publish_if_due()
             if self._expected is not None:
-                self._poll(self._expected, ticks)
+                self._sleep_to_the_end(ticks)
             node.spin_until(time.monotonic() + ticks.remaining())
             if node.halted:
                 break
@@ -160,7 +165,7 @@ class RealTimeClock(LoopClock):
             node.next_sample(stamp)
             self._skipped = ticks.skipped
             self._pace.sample(time.monotonic(), stamp)
-            node.diagnostics.publish_if_due()
+        node.publish_truth()
         if ticks.index >= last:
             node.spin_until(time.monotonic() + 1.0, node.answered)
         if not (ticks.index >= last or node.stopping):
@@ -170,17 +175,23 @@ class RealTimeClock(LoopClock):
                                f'{ticks.skipped} skipped')
         return True
 
-    def _poll(self, expected: ExpectedArrival, ticks: Deadlines) -> None:
-        """Wait for the next deadline: poll for the command when it is due, sleep to the end."""
+    def _await_answer(self, ticks: Deadlines) -> None:
+        """Wait for the command, for half a period at most; poll for it when it is due."""
+        node, last, expected = self._node, time.monotonic() + ticks.remaining(), self._expected
+        half = last - 0.5 * self._period
+        if expected is not None:
+            last -= self._last_stretch
+            asked = self._published_ns[node.seq % REMEMBERED_STATES] * 1e-9
+            node.spin_until(min(asked + expected.begin, last), node.answered)
+            node.poll_until(min(asked + expected.end, last), node.answered)
+        node.spin_until(min(last, half), node.answered)
+
+    def _sleep_to_the_end(self, ticks: Deadlines) -> None:
+        """Serve callbacks until shortly before the next deadline, then sleep outside of them."""
         node = self._node
-        asked = self._published_ns[node.seq % REMEMBERED_STATES] * 1e-9
-        last = time.monotonic() + ticks.remaining() - min(LAST_STRETCH[0],
-                                                          LAST_STRETCH[1] * self._period)
-        node.spin_until(min(asked + expected.begin, last), node.answered)
-        node.poll_until(min(asked + expected.end, last), node.answered)
-        node.spin_until(last)
+        node.spin_until(time.monotonic() + ticks.remaining() - self._last_stretch)
         if not node.halted and (left := ticks.remaining()) > 0.0:
-            time.sleep(min(left, LAST_STRETCH[0]))
+            time.sleep(min(left, self._last_stretch))
 
 
 class LockstepClock(LoopClock):
@@ -224,6 +235,7 @@ class LockstepClock(LoopClock):
             if node.halted or node.seq >= last:
                 break
             node.next_sample((node.seq + 1) * self._period)
+            node.publish_truth()
             if node.seq % PACE_SAMPLES == 0:
                 self.show()
             clock.publish(encode_clock(round(node.seq * self._period * 1e9)))

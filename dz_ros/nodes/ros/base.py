@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 import json
 import math
-import os
 import time
 from typing import Any
 
@@ -34,7 +33,7 @@ from dz_ros.core.safety.health import Level, Report
 from dz_ros.core.trajectories.base import Trajectory
 from dz_ros.errors import LoopError, MessageError
 from dz_ros.nodes.ros import graph, topics
-from dz_ros.nodes.ros.polling import PolledSubscriptions
+from dz_ros.nodes.ros.polling import poll_until, PolledSubscriptions, taker
 from dz_ros.nodes.ros.services import Callback, NOT_UNDERSTOOD, outliving
 from dz_ros.recording.axes_cdr import codec_for
 from dz_ros.recording.cdr import decode_string
@@ -91,6 +90,7 @@ class LoopNode(Node):
         self._record_publishers: dict[str, Publisher] = {}
         self._claims: list[Any] = []
         self._subscribed: list[Subscription] = []
+        self._takers: list[Callable[[], bool]] = []
         self._serve_at = self._urgent_at = 0.0
         self._counted = CountedLog(self.get_logger().warning)
         self._refused: set[str] = set()
@@ -192,8 +192,10 @@ class LoopNode(Node):
         if self.lockstep:
             self.polled.subscribe(topics.TYPES[topic], topic, topics.LOCKSTEP, received)
         else:
-            self._subscribed.append(self.create_subscription(
-                topics.TYPES[topic], topic, received, topics.NEWEST, raw=True))
+            found = self.create_subscription(topics.TYPES[topic], topic, received, topics.NEWEST,
+                                             raw=True)
+            self._subscribed.append(found)
+            self._takers.append(taker(found, received))
 
     def follow_schedule(self, callback: Callable[[float], None]) -> None:
         """Subscribe the topic of the scheduling variable, where the configuration names one."""
@@ -235,6 +237,7 @@ class LoopNode(Node):
             held.close()
         self._record_publishers.clear()
         self._subscribed.clear()
+        self._takers.clear()
         self._claims.clear()
 
     # What is counted and logged.
@@ -367,21 +370,23 @@ class LoopNode(Node):
             self.spin(remaining)
 
     def poll_until(self, deadline: float, done: Callable[[], bool]) -> None:
-        """Serve callbacks as `spin_until` does, without sleeping between them.
+        """Take the loop's messages without sleeping, past the executor, and what is urgent.
 
-        Other processes with work on this core are let through.
+        To ask the executor whether there is a message costs more than to take it; what it serves
+        besides waits until the deadline.
         """
-        while not (self.halted or done() or time.monotonic() >= deadline):
-            self.spin(0.0)
-            os.sched_yield()
+        poll_until(self._takers, deadline, lambda: self.halted or done(), self._serve_urgent)
+
+    def _serve_urgent(self, now: float) -> None:
+        """Serve what is urgent, where it is due."""
+        if self.urgent is not None and now >= self._urgent_at:
+            self._urgent_at = now + URGENT_PERIODS[0]
+            self.urgent()
 
     def spin(self, limit: float = SPIN_LIMIT) -> None:
         """Serve a callback, or none for a while [s]; in lockstep also all messages of the loop."""
         if self.urgent is not None:
-            now = time.monotonic()
-            if now >= self._urgent_at:
-                self._urgent_at = now + URGENT_PERIODS[0]
-                self.urgent()
+            self._serve_urgent(time.monotonic())
             limit = min(limit, URGENT_PERIODS[1])
         if not self.polled:
             self._executor.spin_once(timeout_sec=min(limit, SPIN_LIMIT))

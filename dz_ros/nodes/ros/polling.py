@@ -9,7 +9,7 @@ so do the loop's nodes in lockstep, where even one wake-up takes longer than the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 import os
 import time
 from typing import Any
@@ -129,6 +129,42 @@ class PolledSubscriptions:
                 store(found[0], found[1]['source_timestamp'], found[1]['received_timestamp'])
                 taken += 1
         return taken
+
+
+def taker(subscription: Subscription, received: Callable[[bytes], None]) -> Callable[[], bool]:
+    """Return the function that hands over a message that has come; False = there is none.
+
+    An executor that serves the subscription as well finds nothing where this came first.
+    """
+    take, message_type = subscription.handle.take_message, subscription.msg_type
+
+    def taken() -> bool:
+        found = take(message_type, True)
+        if found is None:
+            return False
+        received(found[0])
+        return True
+
+    return taken
+
+
+def poll_until(takers: Sequence[Callable[[], bool]], deadline: float, done: Callable[[], bool],
+               urgent: Callable[[float], None]) -> None:
+    """Call `takers` (of `taker`) without sleeping; other processes on this core are let through.
+
+    Args:
+        takers: In the order in which they are called.
+        deadline: End, by the steady clock [s].
+        done: Whether it is over before that.
+        urgent: Called between two messages with the time [s].
+    """
+    while not done() and (now := time.monotonic()) < deadline:
+        urgent(now)
+        for take in takers:
+            if take():
+                break
+        else:
+            os.sched_yield()
 
 
 def _never(message: bytes) -> None:
