@@ -41,7 +41,7 @@ from dz_ros.core.loop.controller import Controller, ViolationError
 from dz_ros.core.loop.coupled import simulate_axes
 from dz_ros.core.loop.offline import Run, simulate
 from dz_ros.core.records import Reference, State
-from dz_ros.core.safety.runaway import REASON, RunawayGuard
+from dz_ros.core.safety.runaway_guard import REASON, RunawayGuard
 from dz_ros.core.safety.settings import SafetySettings
 from dz_ros.errors import LoopError
 from dz_ros.files.configurations import load_configuration, shipped_configurations

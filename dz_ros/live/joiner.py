@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import math
 
 from dz_ros.core.records import SEQ_LIMIT
-from dz_ros.core.safety.guards import plausible
+from dz_ros.core.safety.message_guards import plausible
 from dz_ros.live.columns import Layout
 
 ROW_WAIT = 0.05

@@ -24,8 +24,8 @@ from dz_ros.core.design.observation import check_observer
 from dz_ros.core.plants.base import Plant
 from dz_ros.core.records import Command, Reference, State, Truth
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
-from dz_ros.core.safety.guards import ReferenceGuard
 from dz_ros.core.safety.health import Rejections, Report, summarize_state
+from dz_ros.core.safety.message_guards import ReferenceGuard
 from dz_ros.core.safety.supervisor import Supervisor
 from dz_ros.drivers.hosted_axes import host
 from dz_ros.drivers.simulated import SimulatedActuator

@@ -16,8 +16,8 @@ import sys
 import time
 
 from dz_ros.core.records import Reference, State
-from dz_ros.core.safety.guards import SequenceGuard, Verdict
 from dz_ros.core.safety.health import Rejections, Report
+from dz_ros.core.safety.message_guards import SequenceGuard, Verdict
 from dz_ros.nodes.ros.lifecycle import ManagedNode
 from dz_ros.nodes.ros.topics import PACE
 from dz_ros.runtime.phase_offset import PhaseOffset

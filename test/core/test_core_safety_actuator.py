@@ -7,7 +7,7 @@ import pytest
 
 from dz_ros.core.records import Command
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
-from dz_ros.core.safety.guards import RIVALS
+from dz_ros.core.safety.message_guards import RIVALS
 from dz_ros.core.safety.modes import Mode
 from dz_ros.core.safety.settings import SafetySettings
 

@@ -11,7 +11,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.records import Command
 from dz_ros.core.safety.command_limiter import CommandLimiter
 from dz_ros.core.safety.controller_guard import ControllerGuard
-from dz_ros.core.safety.guards import (
+from dz_ros.core.safety.message_guards import (
     FutureGuard,
     JUMP,
     plausible,

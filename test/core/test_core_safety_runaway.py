@@ -11,7 +11,7 @@ from dz_ros.core.plants import PLANTS
 from dz_ros.core.records import Command, Reference, State
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
 from dz_ros.core.safety.modes import Mode
-from dz_ros.core.safety.runaway import RunawayGuard
+from dz_ros.core.safety.runaway_guard import RunawayGuard
 from dz_ros.core.safety.settings import SafetySettings
 
 T = 0.005

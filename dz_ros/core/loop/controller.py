@@ -14,7 +14,7 @@ law's memory and three rules:
 Every command passes the command limiter (``core/safety/command_limiter.py``). Where it reduces
 the law's command against s, the step is taken again with adaptation frozen (§6,
 anti-windup). A step that violates a limit on error or estimates, or gives a number that is not
-finite, is not taken; nor is one while the device runs away (``core/safety/runaway.py``).
+finite, is not taken; nor is one while the device runs away (``core/safety/runaway_guard.py``).
 
 Over 300 lines: what answers a state, and what must be rewound where it is not taken.
 """
@@ -28,7 +28,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.plants.coupled import coupled_regressors
 from dz_ros.core.records import Command, Reference, State, Status, Terms
 from dz_ros.core.safety.command_limiter import CommandLimiter
-from dz_ros.core.safety.runaway import runaway_text, RunawayGuard
+from dz_ros.core.safety.runaway_guard import runaway_text, RunawayGuard
 from dz_ros.core.signals import estimates, S, TERM_NAMES, V_EXTRA
 from dz_ros.core.tracking import shown_position
 

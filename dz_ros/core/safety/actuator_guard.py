@@ -15,11 +15,12 @@ from dz_ros.core.axes import rows_maker
 from dz_ros.core.plants.base import Plant
 from dz_ros.core.records import Command
 from dz_ros.core.safety.command_limiter import limiter_of
-from dz_ros.core.safety.guards import SequenceGuard, TAKEN, Verdict, Watchdog
+from dz_ros.core.safety.message_guards import SequenceGuard, TAKEN, Verdict
 from dz_ros.core.safety.modes import Action, Event, LOST, RUNNING
-from dz_ros.core.safety.runaway import runaway_text, RunawayGuard
+from dz_ros.core.safety.runaway_guard import runaway_text, RunawayGuard
 from dz_ros.core.safety.settings import SafetySettings
 from dz_ros.core.safety.supervisor import Change, Supervisor
+from dz_ros.core.safety.watchdog import Watchdog
 
 FRESH = 20
 """Largest age of the newest command at a reset [samples]."""

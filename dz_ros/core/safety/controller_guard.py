@@ -17,17 +17,17 @@ from dz_ros.core.loop.controller import ViolationError
 from dz_ros.core.loop.controllers import controller_of
 from dz_ros.core.records import Reference, State
 from dz_ros.core.safety.actuator_guard import FRESH
-from dz_ros.core.safety.guards import (
+from dz_ros.core.safety.message_guards import (
     FutureGuard,
     ReferenceGuard,
     REPEATED,
     SequenceGuard,
     TAKEN,
     Verdict,
-    Watchdog,
 )
 from dz_ros.core.safety.modes import Action, ACTIVE, Event, LOST, Mode
 from dz_ros.core.safety.supervisor import Change, Supervisor
+from dz_ros.core.safety.watchdog import Watchdog
 
 Answer = tuple[Any, Any]
 """A `Command` and its `Terms`; of several axes rows of them."""

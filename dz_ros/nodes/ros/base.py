@@ -28,8 +28,8 @@ from std_msgs.msg import Float64
 from dz_ros.core import events
 from dz_ros.core.configuration import Configuration, SECTIONS
 from dz_ros.core.counted_log import CountedLog
-from dz_ros.core.safety.guards import Verdict, WORDS
 from dz_ros.core.safety.health import Level, Report
+from dz_ros.core.safety.message_guards import Verdict, WORDS
 from dz_ros.core.trajectories.base import Trajectory
 from dz_ros.errors import LoopError, MessageError
 from dz_ros.nodes.ros import graph, topics

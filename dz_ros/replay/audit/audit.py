@@ -25,7 +25,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
 from dz_ros.core.events import ModeEvent, of_kind
 from dz_ros.core.loop.controller import SNAP
-from dz_ros.core.safety.runaway import REASON
+from dz_ros.core.safety.runaway_guard import REASON
 from dz_ros.replay.audit.messages import (
     frozen_notes,
     missing_messages,

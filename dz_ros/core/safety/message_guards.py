@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Guards of what arrives: is it a message to act on, and when did the last such one arrive (ours).
+"""Guards of what arrives: is it a message to act on (ours).
 
 A guard never repairs: a message is taken or not, and each reason is counted. One that is not taken
 does not feed the watchdog either, so a stream of bad messages ends like silence: in the safe
@@ -194,29 +194,6 @@ class ReferenceGuard(SequenceGuard):
             self.counts[Verdict.FUTURE] += 1    # its seq is none to go by either
             return False
         return self.judge(numbers, now, resync) is TAKEN
-
-
-class Watchdog:
-    """Age of the newest good input, on whatever steady clock its owner uses.
-
-    Attributes:
-        fed: When it was last fed [s]; None = not yet, so nothing is stale.
-    """
-
-    def __init__(self) -> None:
-        self.fed: float | None = None
-
-    def feed(self, now: float) -> None:
-        """Take note of a good input."""
-        self.fed = now
-
-    def stop(self) -> None:
-        """Expect nothing until the next one."""
-        self.fed = None
-
-    def older(self, now: float, limit: float) -> bool:
-        """Whether the input is older than a limit [s]; never where the limit is 0."""
-        return self.fed is not None and limit > 0.0 and now - self.fed > limit + 1e-9
 
 
 class FutureGuard:
