@@ -20,7 +20,8 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 import dz_ros  # noqa: E402
-from dz_ros.cli.main import GROUPS, parser_of  # noqa: E402
+from dz_ros.cli.main import parser_of  # noqa: E402
+from dz_ros.cli.verbs import GROUPS  # noqa: E402
 from dz_ros.core import schema  # noqa: E402
 from dz_ros.core.configuration import SECTIONS, SELECTORS  # noqa: E402
 from dz_ros.core.deadzone import DeadZone  # noqa: E402

@@ -13,7 +13,7 @@ import time
 import pytest
 
 import dz_ros
-from dz_ros.cli.main import VERBS
+from dz_ros.cli.verbs import VERBS
 
 ROOT = str(Path(dz_ros.__file__).parents[1])
 TIME_OUT = 300.0

@@ -10,7 +10,8 @@ import sys
 import pytest
 
 import dz_ros
-from dz_ros.cli.main import main, NOUNS, Verb, VERBS
+from dz_ros.cli.main import main
+from dz_ros.cli.verbs import NOUNS, Verb, VERBS
 from dz_ros.errors import RecordingError
 from dz_ros.version import version
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`dz driver commission --live`: the steps are started, confirmed and stopped in the page."""
+"""`dz driver commission --live`: the steps are started, confirmed and stopped in the page.
+
+Over 300 lines: one page and its helpers serve the steps with every kind of device.
+"""
 
 import json
 from pathlib import Path

@@ -14,7 +14,7 @@ sys.path.insert(0, str(ROOT / 'tools'))
 from make_reference import pages  # noqa: E402
 
 import dz_ros  # noqa: E402
-from dz_ros.cli.main import VERBS  # noqa: E402
+from dz_ros.cli.verbs import VERBS  # noqa: E402
 from dz_ros.core.configuration import every_field  # noqa: E402
 from dz_ros.core.events import KINDS  # noqa: E402
 from dz_ros.core.laws import LAWS  # noqa: E402
