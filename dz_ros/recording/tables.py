@@ -143,7 +143,8 @@ class Table:
                     f'topic {self.topic}: {_messages(layout.count)} of another layout left out, '
                     f'the first is message {layout.first}: {_difference(layout, chosen)}')
         codec = chosen.codec
-        values, log, publish = map(np.concatenate, (chosen.values, chosen.log, chosen.publish))
+        values, log, publish = (np.concatenate(chosen.values), np.concatenate(chosen.log),
+                                np.concatenate(chosen.publish))
         del chosen
         self._layouts.clear()       # not twice in memory: an hour is 300 MB
         self._newest = None
