@@ -214,9 +214,9 @@ def _attempt(step: str, state: State) -> bool:
             found: Outcome = _DO[step](state)
     except KeyboardInterrupt as end:
         note(FAILED, 'interrupted', {})
-        said, kept = str(end), state.kept(step)
-        raise KeyboardInterrupt(said if kept in said else
-                                '; '.join(filter(None, (said, kept)))) from None
+        stated, kept = str(end), state.kept(step)
+        raise KeyboardInterrupt(stated if kept in stated else
+                                '; '.join(filter(None, (stated, kept)))) from None
     except StepFailedError as failure:
         note(FAILED, str(failure), failure.result)
         print_lines(f'dz: error: {step}: {failure}', sys.stderr)
