@@ -38,6 +38,7 @@ setup(
         (f'share/{name}/config/layouts', files('config/layouts/*')),
         (f'share/{name}/launch', files('launch/*.py', 'launch/*.yaml')),
     ],
+    scripts=['scripts/dz'],
     zip_safe=False,
     python_requires='>=3.10',
     install_requires=[
@@ -94,7 +95,7 @@ setup(
     },
     entry_points={
         'console_scripts': [
-            'dz = dz_ros.__main__:main',
+            'dz_ros = dz_ros.__main__:main',    # scripts/dz starts it
             'plant_node = dz_ros.nodes.main:plant_node',
             'actuator_node = dz_ros.nodes.main:actuator_node',
             'controller_node = dz_ros.nodes.main:controller_node',

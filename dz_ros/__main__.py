@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """``dz`` and ``python -m dz_ros``: an interrupt during start ends with one line, no traceback.
 
-An interrupt before the first line of this, while Python itself starts, is answered by Python.
+While Python itself starts, before the first line of this, an interrupt is Python's to answer, with
+a traceback. ``dz`` (`scripts/dz`) therefore holds it back until `main` can answer;
+``python -m dz_ros`` does not.
 """
 
 import os
@@ -19,6 +21,7 @@ def main() -> int:
 
     if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
         _signal.signal(_signal.SIGINT, end)
+    _signal.pthread_sigmask(_signal.SIG_UNBLOCK, (_signal.SIGINT,))
     from dz_ros.runtime.import_path import drop_current_folder
 
     drop_current_folder()

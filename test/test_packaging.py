@@ -161,8 +161,9 @@ def test_wheels_of_ros_name_their_distribution_which_pins_them(described):
 
 def test_entry_points_lead_to_functions(described):
     scripts = dict(text.split(' = ') for text in described['entry_points']['console_scripts'])
-    assert {'dz', 'plant_node', 'controller_node', 'trajectory_node',
-            'recorder_node'} <= set(scripts) <= {'dz', *NODES}
+    assert {'dz_ros', 'plant_node', 'controller_node', 'trajectory_node',
+            'recorder_node'} <= set(scripts) <= {'dz_ros', *NODES}
+    assert described['scripts'] == ['scripts/dz']       # it starts dz_ros
     for target in scripts.values():
         module, _, function = target.partition(':')
         assert callable(getattr(importlib.import_module(module), function))
@@ -263,6 +264,7 @@ def test_commands_in_documents_exist(described):
     targets = set(re.findall(r'^([a-z-]+):', (ROOT / 'Makefile').read_text(encoding='utf-8'),
                              re.MULTILINE))
     scripts = {text.split(' = ')[0] for text in described['entry_points']['console_scripts']}
+    scripts |= {Path(name).name for name in described['scripts']}
     seen = set()
     for document, words in commands():
         place = f'{document}: {" ".join(words)}'

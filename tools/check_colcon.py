@@ -15,7 +15,7 @@ import xml.etree.ElementTree as ET
 
 ROOT = Path(__file__).resolve().parent.parent
 NAME = 'dz_ros'
-EXECUTABLES = ('dz', 'plant_node', 'actuator_node', 'controller_node', 'trajectory_node',
+EXECUTABLES = ('dz', 'dz_ros', 'plant_node', 'actuator_node', 'controller_node', 'trajectory_node',
                'recorder_node', 'replay_node')
 TIME_LIMIT = 1800
 
@@ -83,8 +83,8 @@ def declared(prefix: Path) -> list[str]:
     points = configparser.ConfigParser()
     points.read(path, encoding='utf-8')
     found = sorted(points['console_scripts'])
-    assert 'dz' in found, f'{path.name} declares no dz'
-    return found
+    assert 'dz_ros' in found, f'{path.name} declares no dz_ros'
+    return [*found, 'dz']       # a script that starts it
 
 
 def use(prefix: Path, folder: Path, environment: dict[str, str]) -> None:

@@ -12,8 +12,8 @@ import tempfile
 import xml.etree.ElementTree as ET
 
 ROOT = Path(__file__).resolve().parent.parent
-SOURCES = ('config', 'dz_ros', 'launch', 'resource', 'package.xml', 'pyproject.toml', 'setup.cfg',
-           'setup.py', 'README.md')
+SOURCES = ('config', 'dz_ros', 'launch', 'resource', 'scripts', 'package.xml', 'pyproject.toml',
+           'setup.cfg', 'setup.py', 'README.md')
 
 
 def main() -> int:

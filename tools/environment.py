@@ -19,7 +19,7 @@ import sys
 SUPPORTED = ((3, 10), (3, 13))
 DISTRIBUTION = 'jazzy'
 ROOT = Path(__file__).resolve().parent.parent
-SOURCES = ('setup.py', 'package.xml', 'tools/environment.py')
+SOURCES = ('setup.py', 'package.xml', 'scripts/dz', 'tools/environment.py')
 
 
 def main(arguments):

@@ -175,13 +175,30 @@ class Configuration:
 
         Of a driver that was not loaded for this configuration its class is asked, if installed.
         """
+        found = self._installed_driver()
+        return found is not None and bool(found.lockstep)
+
+    def _installed_driver(self) -> type[DriverClass] | None:
+        """Return the driver's class, also where none was loaded; None = it is not installed."""
         if self.driver_class is not Undriven:
-            return bool(self.driver_class.lockstep)
+            return self.driver_class
         try:
             DRIVERS.check_untrusted(self.driver_settings.name)  # a recording's, most likely
-            return bool(DRIVERS.load(self.driver_settings.name).lockstep)
+            found: type[DriverClass] = DRIVERS.load(self.driver_settings.name)
         except UnknownNameError:
-            return False
+            return None
+        return found
+
+    def declared(self) -> dict[str, schema.Field]:
+        """Return `fields`, and those of a driver that was not loaded for this configuration."""
+        found, chosen = self.fields(), self._installed_driver()
+        if chosen is not None:
+            found.update((f'driver.{item.name}', item)
+                         for item in schema.fields(chosen.Parameters))
+        for axis, own in self.axes:
+            found.update((axis_key(axis, key), item) for key, item in own.declared().items()
+                         if not is_machines(key))
+        return found
 
     def require_one(self) -> None:
         """Refuse a machine of several axes, where one is meant.

@@ -2,8 +2,10 @@
 """`dz driver commission`: limits, sign, sensor, identification, proposal, check; again."""
 
 import json
+import os
 from pathlib import Path
 import shlex
+import signal
 import sys
 
 import numpy as np
@@ -218,3 +220,81 @@ def test_a_velocity_of_the_other_sign_is_named():
 
     with pytest.raises(WrongSignError, match='wrong sign'):
         moved()
+
+
+INTERRUPTED = """
+import os
+import signal
+from dz_ros.drivers.simulated import SimulatedActuator
+
+received = []
+
+
+class Device(SimulatedActuator):
+    '''Interrupted at the command of that number.'''
+
+    name = 'device'
+    instant = 0
+
+    def command(self, v, t):
+        received.append(v)
+        super().command(v, t)
+        if len(received) == Device.instant:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def safe(self, v, t):
+        received.append('safe')
+        super().safe(v, t)
+
+    def disable(self):
+        received.append('disabled')
+        super().disable()
+"""
+
+
+def test_ctrl_c_during_a_move_leaves_the_device_safe_and_names_how_to_go_on(tmp_path, monkeypatch,
+                                                                            capsys):
+    (tmp_path / 'interrupted_device.py').write_text(INTERRUPTED)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    import interrupted_device
+    out = tmp_path / 'first'
+    words = ['driver', 'commission', *DEVICE, *LIMITS, '--yes', '--out', str(out), '--set',
+             'driver.name=interrupted_device:Device']
+    for step, extra in (('sign', []), ('sensor', ['--from', 'sensor'])):
+        if extra:
+            interrupted_device.Device.instant = 0
+            assert main([*words, '--from', 'sign', '--until', 'sign']) == 0
+        interrupted_device.received.clear()
+        interrupted_device.Device.instant = 300
+        capsys.readouterr()
+        assert main([*words, *extra]) == 130
+        assert capsys.readouterr().err.splitlines()[-1] == (
+            'dz: interrupted: the device has had its safe command and is disabled; the steps '
+            f'before {step} are kept; dz driver commission --from {step} --out {out} goes on')
+        *numbers, end = interrupted_device.received
+        assert end == 'disabled'
+        assert all(isinstance(item, float) for item in numbers[:300])
+        assert set(numbers[300:]) <= {'safe', 0.0}      # nothing else after the signal
+        assert (log(out)[-1]['outcome'], log(out)[-1]['words']) == ('failed', 'interrupted')
+        moves = read_run(out / log(out)[-1]['folder'] / 'run')
+        assert len(moves.channels['state']) >= 300      # what it did is recorded
+    del sys.modules['interrupted_device']
+
+
+@pytest.mark.parametrize(('step', 'function'), [('identify', 'commission_moves.identify'),
+                                                ('propose', 'commission_loop.propose')])
+def test_ctrl_c_while_it_computes_names_how_to_go_on(tmp_path, monkeypatch, capsys, step,
+                                                     function):
+    out = tmp_path / 'first'
+
+    def interrupt(*_):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(f'dz_ros.cli.driver.{function}', interrupt)
+    assert main(['driver', 'commission', *DEVICE, *LIMITS, '--repeats', '4', '--yes', '--out',
+                 str(out)]) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        f'dz: interrupted: the steps before {step} are kept; dz driver commission --from {step} '
+        f'--out {out} goes on')
+    assert (log(out)[-1]['step'], log(out)[-1]['words']) == (step, 'interrupted')
+    assert log(out)[-2]['outcome'] == 'done'

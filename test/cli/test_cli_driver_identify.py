@@ -147,11 +147,51 @@ def test_a_signal_gives_the_safe_command_within_a_sample(tmp_path, monkeypatch, 
     out = tmp_path / 'found'
     code = main(['driver', 'identify', 'servo', *QUIET, *LIMITS, '--yes', '--out', str(out),
                  '--set', 'driver.name=a_device:Device'])
-    assert code == 2
-    assert capsys.readouterr().err == f'dz: error: {number.name}\n'
+    assert (code, capsys.readouterr().err) == {
+        signal.SIGINT: (130, 'dz: interrupted: the device has had its safe command and is '
+                        'disabled; nothing is kept; the same command begins again\n'),
+        signal.SIGTERM: (2, 'dz: error: SIGTERM\n')}[number]
     assert len([item for item in device.commanded if isinstance(item, float)]) == 100
     assert device.commanded[100:] == [('safe', 0.0), ('safe', 0.0), 'disabled']
     assert signal.getsignal(number) is earlier
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(('function', 'kept'), [
+    ('identify', 'the moves are kept in {out}/run; dz driver identify --from {out}/run goes on'),
+    ('propose', 'the moves are kept in {out}/run; dz driver identify --from {out}/run goes on')])
+def test_ctrl_c_after_the_moves_names_them_and_they_can_be_used(tmp_path, monkeypatch, capsys,
+                                                                function, kept):
+    out = tmp_path / 'found'
+
+    def interrupt(*_):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(f'dz_ros.cli.driver.identify.{function}', interrupt)
+        code = main(['driver', 'identify', 'servo', *QUIET, '--repeats', '4', *LIMITS, '--yes',
+                     '--out', str(out)])
+    assert code == 130
+    assert capsys.readouterr().err.splitlines()[-1] == f'dz: interrupted: {kept.format(out=out)}'
+    monkeypatch.chdir(tmp_path)
+    assert main(['driver', 'identify', '--from', str(out / 'run'), '--out', 'again']) == 0
+    assert (tmp_path / 'again' / 'identified.yaml').exists()
+
+
+def test_ctrl_c_while_a_run_is_read_names_what_is_there(tmp_path, monkeypatch, capsys):
+    c = Configuration.from_flat({'plant.model': 'servo', 'controller.law': 'wang2004',
+                                 'loop.duration': 1.0})
+    save_run(from_run(simulate(c)), tmp_path / 'run')
+    out = tmp_path / 'found'
+
+    def interrupt(*_):
+        os.kill(os.getpid(), signal.SIGINT)
+
+    words = ['driver', 'identify', '--from', str(tmp_path / 'run'), '--out', str(out)]
+    monkeypatch.setattr('dz_ros.cli.driver.identify.identify_log', interrupt)
+    assert main(words) == 130
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        'dz: interrupted: nothing is kept; the same command begins again')
     assert not out.exists()
 
 

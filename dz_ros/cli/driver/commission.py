@@ -3,13 +3,15 @@
 
 Every step prints what it found, is recorded, and can be repeated with ``--from STEP``, or in the
 page. At the terminal a step that fails ends it: exit code 1, or 2 where something that was given
-is wrong. With ``--live`` the steps are started and confirmed in the page (`commission_page`).
+is wrong, or 130 where Ctrl-C stopped it. With ``--live`` the steps are started and confirmed in
+the page (`commission_page`).
 """
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from contextlib import nullcontext
 from datetime import datetime, timezone
 from pathlib import Path
 import sys
@@ -28,6 +30,7 @@ from dz_ros.cli.driver.commission_state import (
     StepFailedError,
 )
 from dz_ros.cli.driver.move_limits import add_limits, given_limits, needed_limits
+from dz_ros.cli.interrupt import prompt_end
 from dz_ros.cli.options import (
     add_address,
     add_configuration,
@@ -40,7 +43,15 @@ from dz_ros.cli.processes import check_rclpy
 from dz_ros.core.configuration import Configuration
 from dz_ros.errors import ConfigurationError, DzRosError
 from dz_ros.files.configurations import format_parameters, write_parameters
-from dz_ros.identification.commissioning import Attempt, DONE, FAILED, LOG, StepLog, STEPS
+from dz_ros.identification.commissioning import (
+    Attempt,
+    DONE,
+    FAILED,
+    LOG,
+    MOVING,
+    StepLog,
+    STEPS,
+)
 from dz_ros.runs.metrics import jsonable
 
 STOPPED = 1
@@ -199,7 +210,13 @@ def _attempt(step: str, state: State) -> bool:
         state.operator.ended()
 
     try:
-        found: Outcome = _DO[step](state)
+        with nullcontext() if step in MOVING else prompt_end(lambda: state.kept(step)):
+            found: Outcome = _DO[step](state)
+    except KeyboardInterrupt as end:
+        note(FAILED, 'interrupted', {})
+        stated, kept = str(end), state.kept(step)
+        raise KeyboardInterrupt(stated if kept in stated else
+                                '; '.join(filter(None, (stated, kept)))) from None
     except StepFailedError as failure:
         note(FAILED, str(failure), failure.result)
         print_lines(f'dz: error: {step}: {failure}', sys.stderr)

@@ -13,6 +13,7 @@ import numpy as np
 from dz_ros.cli.check import format_findings, stability_limit
 from dz_ros.cli.driver.commission_state import Outcome, State, StepFailedError
 from dz_ros.cli.driver.identify_output import proposal_lines
+from dz_ros.cli.interrupt import INTERRUPTED
 from dz_ros.cli.options import read_recording
 from dz_ros.cli.output import print_lines
 from dz_ros.cli.progress import stage
@@ -149,6 +150,7 @@ def loop_step(state: State) -> Outcome:
 
     Raises:
         StepFailedError: It does not, or the loop ends in a fault.
+        KeyboardInterrupt: Ctrl-C has ended the loop.
     """
     from dz_ros.cli.main import parser_of
     from dz_ros.report.verdict import judge
@@ -169,6 +171,9 @@ def loop_step(state: State) -> Outcome:
         for number, handler in previous.items():
             signal.signal(number, handler)
     sys.stdout.flush()
+    if code == INTERRUPTED and not state.operator.stopped():
+        raise KeyboardInterrupt('the loop has ended in order' + (
+            f', its recording is {directory}' if directory.exists() else ''))
     if not directory.exists():
         raise StepFailedError(f'the loop did not start, exit code {code}')
     view = View.of(read_recording(directory))

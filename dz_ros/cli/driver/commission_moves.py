@@ -11,6 +11,7 @@ import numpy as np
 from dz_ros.cli.driver.commission_state import Outcome, State, StepFailedError
 from dz_ros.cli.driver.identify_moves import move
 from dz_ros.cli.driver.identify_output import plant_lines, result_lines, write_bounds
+from dz_ros.cli.interrupt import prompt_end
 from dz_ros.cli.output import print_lines
 from dz_ros.errors import DriverError, RecordingError
 from dz_ros.identification.estimation.pipeline import (
@@ -109,11 +110,12 @@ def identify_step(state: State) -> Outcome:
                             c.safety.safe_command)
     samples = _moved(state, experiment,
                      f'{experiment.plan.repeats} times ramps and steps both ways')
-    try:
-        found = identify(samples, c, experiment.moving)
-    except RecordingError as error:
-        raise StepFailedError(str(error)) from error
-    fitted, problem = refine_identified(found, samples, c)
+    with prompt_end(lambda: state.kept('identify')):
+        try:
+            found = identify(samples, c, experiment.moving)
+        except RecordingError as error:
+            raise StepFailedError(str(error)) from error
+        fitted, problem = refine_identified(found, samples, c)
     print_lines(result_lines(found, c))
     print_lines(plant_lines(fitted, c))
     write_bounds(found, fitted, c, [v for _, v in experiment.breakaway], state.folder)

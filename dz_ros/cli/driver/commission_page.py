@@ -171,6 +171,10 @@ class PageOperator(Operator):
                         'from where it stood'}, 0.0)
         return self._stop
 
+    def stopped(self) -> str:
+        """Return why the device must not move, '' = it may."""
+        return self._stop
+
     def begun(self, step: str) -> None:
         """Show that a step runs."""
         self._show(running=step, problem='')

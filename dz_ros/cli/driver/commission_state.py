@@ -99,6 +99,10 @@ class Operator:
         """Follow the moves, sample by sample; return why to stop, '' = go on."""
         return ''
 
+    def stopped(self) -> str:
+        """Return why the device must not move, '' = it may."""
+        return ''
+
     def begun(self, step: str) -> None:
         """Note that a step has begun."""
 
@@ -178,6 +182,11 @@ class State:
         if found is None or not found.folder:
             raise StepFailedError(f'step {step} has not been done: begin with --from {step}')
         return self.log.folder / found.folder
+
+    def kept(self, step: str) -> str:
+        """Return what is kept where a step is interrupted, and how to go on."""
+        return (f'the steps before {step} are kept; dz driver commission --from {step} --out '
+                f'{self.log.folder} goes on')
 
     def limits_outcome(self) -> Outcome:
         """Return the limits as answered."""

@@ -3,6 +3,7 @@
 
 Writes a folder that must not exist: the moves as a run, the bounds, a configuration that is ready
 to run, the numbers as JSON, a picture. Exit code 1 where a design rule finds an error in it.
+Ctrl-C while the device moves keeps nothing; later the moves are kept.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from dz_ros.cli.driver.identify_output import (
     write_bounds,
 )
 from dz_ros.cli.driver.move_limits import add_limits, build_limits, given_limits
+from dz_ros.cli.interrupt import NOTHING_KEPT, prompt_end
 from dz_ros.cli.options import (
     add_allow_import,
     add_configuration,
@@ -42,7 +44,7 @@ from dz_ros.identification.estimation.pipeline import (
 from dz_ros.identification.estimation.static_friction import static_friction_note
 from dz_ros.identification.experiment.moves import Experiment
 from dz_ros.identification.proposal import propose
-from dz_ros.identification.samples import to_run
+from dz_ros.identification.samples import Samples, to_run
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,48 +71,76 @@ def run(arguments: argparse.Namespace) -> int:
     if out.exists():
         raise RunExistsError(f'{out}: exists already; choose another folder with --out')
     breakaway: list[float] = []
-    if arguments.run is not None:
-        c, data = _recorded(arguments)
-        with stage('finding the dead-zone'):
-            samples, found = identify_log(data, c)
-        _begin(out)             # a run that cannot be used leaves nothing behind
+    moving: Experiment | None = None
+    if arguments.run is None:
+        c, moving, samples = _moved(arguments, out)
+        breakaway = [v for _, v in moving.breakaway]
+        kept = [f'the moves are kept in {out / "run"}; dz driver identify --from {out / "run"} '
+                'goes on']
     else:
-        if arguments.config is None:
-            raise ConfigurationError('CONFIG', '', 'must name the configuration of the device, or '
-                                     'give --from RUN')
-        c = read_configuration(arguments)
-        limits, plan = build_limits(given_limits(arguments), c)
-        experiment = Experiment(limits, plan, c.plant.order, c.loop.period,
-                                c.safety.safe_command)
-        ask(c, limits, plan, experiment.duration, arguments.yes)
-        start_ns = time.time_ns()
+        kept = [NOTHING_KEPT]
+    with prompt_end(lambda: kept[0]):
+        if moving is not None:
+            with stage('finding the dead-zone'):
+                found = identify(samples, c, moving.moving)
+        else:
+            c, data = _recorded(arguments)
+            with stage('finding the dead-zone'):
+                samples, found = identify_log(data, c)
+            _begin(out)         # a run that cannot be used leaves nothing behind
+            kept = [_incomplete(out)]
+        print_lines(result_lines(found, c))
+        with stage('refining the plant'):
+            fitted, problem = refine_identified(found, samples, c)
+        print_lines(plant_lines(fitted, c))
+        write_bounds(found, fitted, c, breakaway, out)
+        with stage('proposing gains'):
+            proposal, notes = propose(c, found, fitted)
+        sticks = static_friction_note(found, breakaway, c)
+        notes = (*notes, *(item for item in (problem, sticks) if item))
+        findings = check(proposal.after)
+        write_parameters(proposal.after, out / 'identified.yaml')
+        print_lines(proposal_lines(proposal, findings, notes, out / 'identified.yaml'))
+    return FOUND_ERRORS if worst(findings) == ERROR else 0
+
+
+def _moved(arguments: argparse.Namespace,
+           out: Path) -> tuple[Configuration, Experiment, Samples]:
+    """Move the device and keep the moves; return its configuration, what it did, the samples.
+
+    Raises:
+        ConfigurationError: Limits that are missing or not allowed.
+        DriverError: The device fails, or it was stopped.
+        KeyboardInterrupt: It was stopped by Ctrl-C.
+    """
+    if arguments.config is None:
+        raise ConfigurationError('CONFIG', '', 'must name the configuration of the device, or '
+                                 'give --from RUN')
+    c = read_configuration(arguments)
+    limits, plan = build_limits(given_limits(arguments), c)
+    experiment = Experiment(limits, plan, c.plant.order, c.loop.period, c.safety.safe_command)
+    ask(c, limits, plan, experiment.duration, arguments.yes)
+    start_ns = time.time_ns()
+    try:
         samples = move(c, experiment, arguments.namespace)
-        made = to_run(samples, c, start_ns)
-        breakaway = [v for _, v in experiment.breakaway]
-        if experiment.stalls:
-            print_lines(f'the machine stalled {len(experiment.stalls)} times, for up to '
-                        f'{max(experiment.stalls):.2f} s; those moves were made again')
-        for breach in experiment.breaches:
-            print_lines(f'a limit stopped it: {breach}')
+    except KeyboardInterrupt as end:
+        raise KeyboardInterrupt('; '.join(filter(None, (str(end), NOTHING_KEPT)))) from None
+    made = to_run(samples, c, start_ns)
+    if experiment.stalls:
+        print_lines(f'the machine stalled {len(experiment.stalls)} times, for up to '
+                    f'{max(experiment.stalls):.2f} s; those moves were made again')
+    for breach in experiment.breaches:
+        print_lines(f'a limit stopped it: {breach}')
+    with prompt_end(lambda: _incomplete(out)):
         from dz_ros.recording.save import save_run
 
         _begin(out)             # the moves are kept, whatever comes of them
         save_run(made, out / 'run')
-        with stage('finding the dead-zone'):
-            found = identify(samples, c, experiment.moving)
-    print_lines(result_lines(found, c))
-    with stage('refining the plant'):
-        fitted, problem = refine_identified(found, samples, c)
-    print_lines(plant_lines(fitted, c))
-    write_bounds(found, fitted, c, breakaway, out)
-    with stage('proposing gains'):
-        proposal, notes = propose(c, found, fitted)
-    sticks = static_friction_note(found, breakaway, c)
-    notes = (*notes, *(item for item in (problem, sticks) if item))
-    findings = check(proposal.after)
-    write_parameters(proposal.after, out / 'identified.yaml')
-    print_lines(proposal_lines(proposal, findings, notes, out / 'identified.yaml'))
-    return FOUND_ERRORS if worst(findings) == ERROR else 0
+    return c, experiment, samples
+
+
+def _incomplete(out: Path) -> str:
+    return f'{out} is not complete; the same command with another --out begins again'
 
 
 def _begin(out: Path) -> None:

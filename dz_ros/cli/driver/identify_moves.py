@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import signal
 import sys
 import time
 
@@ -13,7 +14,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.errors import ConfigurationError, DriverError
 from dz_ros.identification.experiment.moves import Experiment
 from dz_ros.identification.experiment.plan import Limits, Plan
-from dz_ros.identification.experiment.session import run_session
+from dz_ros.identification.experiment.session import run_session, StoppedError
 from dz_ros.identification.samples import Samples
 from dz_ros.runtime.deadlines import Deadlines
 from dz_ros.runtime.signals import stop_on_signals, Stopping
@@ -22,6 +23,7 @@ SLICE = 0.05
 """A signal is noticed within this, or a sample [s]."""
 CLEAR = 'Is everybody away from it, and the e-stop at hand?'
 NOTHING_MOVED = 'nothing has moved'
+STOPPED_SAFELY = 'the device has had its safe command and is disabled'
 
 
 def ask(c: Configuration, limits: Limits, plan: Plan, duration: float, yes: bool) -> None:
@@ -84,6 +86,7 @@ def move(c: Configuration, experiment: Experiment, namespace: str,
 
     Raises:
         DriverError: The device fails, or it was stopped: the safe command has been sent.
+        KeyboardInterrupt: It was stopped by Ctrl-C, in the same way.
     """
     lockstep = c.driver_class.lockstep
     progress = Progress(experiment.plan.repeats, 'repeats')
@@ -99,7 +102,12 @@ def move(c: Configuration, experiment: Experiment, namespace: str,
                 progress(shown, experiment.plan.repeats)
             return stopping.reason or watch(experiment)
 
-        samples = run_session(c, experiment, wait, stopped, kept=kept)
+        try:
+            samples = run_session(c, experiment, wait, stopped, kept=kept)
+        except StoppedError as stop:
+            if str(stop) == signal.SIGINT.name:
+                raise KeyboardInterrupt(STOPPED_SAFELY) from stop
+            raise
         progress(experiment.plan.repeats, experiment.plan.repeats)
         return samples
 

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 import json
 import threading
+import time
 
 from dz_ros.cli.operator import operator
 from dz_ros.errors import DriverError
@@ -15,6 +16,8 @@ from dz_ros.runtime.signals import Stopping
 
 START_LIMIT = 20.0
 """The node that receives the e-stop must have started within this [s]."""
+POLL = 0.05
+"""A reason to stop is noticed within this while the node starts [s]."""
 
 
 @contextmanager
@@ -42,7 +45,9 @@ def stop_on_estop(stopping: Stopping, lockstep: bool, namespace: str) -> Iterato
                 stopping.stop('the node that receives the e-stop has ended')
 
         threading.Thread(target=read, name='e-stop', daemon=True).start()
-        if not ready.wait(START_LIMIT):
-            raise DriverError('the node that receives the e-stop has not started within '
-                              f'{START_LIMIT:g} s')
+        deadline = time.monotonic() + START_LIMIT
+        while not (ready.wait(POLL) or stopping.reason):
+            if time.monotonic() > deadline:
+                raise DriverError('the node that receives the e-stop has not started within '
+                                  f'{START_LIMIT:g} s')
         yield

@@ -59,12 +59,12 @@ class AdaptiveInverseGains(SwitchingGains):
                            'adaptation gain η of β̂1', minimum=0.0)
     theta_0: tuple[float, ...] = parameter(
         (0.85,), 'unit of x^(n) per unit of Y_i',
-        'â(0), one number for each regressor or one for all')
-    phi_0: float = parameter(0.85, 'actuator unit per unit of x^(n)', '1/β̂1(0)', minimum=0.0,
-                             open_minimum=True)
+        'initial estimate â(0), one number for each regressor or one for all')
+    phi_0: float = parameter(0.85, 'actuator unit per unit of x^(n)', 'initial estimate 1/β̂1(0)',
+                             minimum=0.0, open_minimum=True)
     k: float = parameter(1.47, 'unit of x^(n)', 'gain k of the robust term', minimum=0.0)
-    beta2_0: float = parameter(0.35, 'unit of x^(n)', 'β̂2(0), of b m b_r')
-    beta3_0: float = parameter(-0.4, 'unit of x^(n)', 'β̂3(0), of b m b_l')
+    beta2_0: float = parameter(0.35, 'unit of x^(n)', 'initial estimate β̂2(0), of b m b_r')
+    beta3_0: float = parameter(-0.4, 'unit of x^(n)', 'initial estimate β̂3(0), of b m b_l')
     g_b: float = parameter(5.0, '1/s²', 'adaptation gain of β̂2, β̂3', minimum=0.0)
     epsilon_a: float = parameter(0.004, 'unit of s', 'adaptation stands still where |s| ≤ ε_a',
                                  minimum=0.0, open_minimum=True)

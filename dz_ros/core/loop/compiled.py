@@ -69,7 +69,15 @@ def compiled(function: Callable[..., Any], allocates: bool = False, inner: bool 
                         function.__closure__)
     copy.__kwdefaults__ = function.__kwdefaults__
     # Python's errors for what Python refuses (division by zero); no reordering of operations.
-    options = {} if allocates else {'_nrt': False, 'forceinline': True}
+    options: dict[str, Any] = {} if allocates else {'_nrt': False, 'forceinline': True}
+    if not allocates:
+        try:
+            from dz_ros.core.loop.scalar_compiler import Called, Inlined, usable
+        except (ImportError, AttributeError):       # another version of numba
+            pass
+        else:
+            if usable():
+                options['pipeline_class'] = Inlined if inner else Called
     options |= {'no_cpython_wrapper': inner, 'no_cfunc_wrapper': True}
     return njit(copy, error_model='python', fastmath=False, **options)
 
