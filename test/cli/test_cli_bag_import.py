@@ -16,7 +16,7 @@ MAP = 'stamp=ms*ms,x0=angle*deg,xd0=wanted*deg,v=percent/10-0.5'
 def log(tmp_path_factory):
     """Return a CSV file of a simulated servo: ms, degrees, and a command in percent, offset."""
     c = Configuration.from_flat({
-        'plant.model': 'servo', 'controller.law': 'wang2004', 'loop.duration': 21.0,
+        'plant.model': 'servo', 'controller.law': 'wang2004', 'loop.duration': 25.0,
         'plant.noise': [1e-5, 0.0], 'plant.x0': [0.1, 0.0], 'controller.lambda': 5.0,
         'plant.dead_zone.m_l': 0.8, 'trajectory.kind': 'multisine',
         'trajectory.amplitudes': [1.0, 0.5], 'trajectory.frequencies': [1.0, 2.7],

@@ -35,8 +35,7 @@ def test_the_commands_of_the_page(tmp_path, monkeypatch, capsys):
     first, second = (shlex.split(line)[1:] for line in page.splitlines()
                      if line.startswith('dz driver commission') and '--live' not in line)
     monkeypatch.chdir(tmp_path)
-    assert main([*first, *DEVICE[1:], '--set', 'loop.rate=100', '--repeats', '4', '--until',
-                 'check']) == 0
+    assert main([*first, *DEVICE[1:], '--repeats', '4', '--until', 'check']) == 0
     printed = capsys.readouterr().out
     assert 'the device follows the command' in printed
     assert 'one step of the position is 0.0005 rad' in printed
