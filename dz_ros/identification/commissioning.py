@@ -121,6 +121,18 @@ class StepLog:
             newest = max(newest, done.number if done is not None else 0)
         return found
 
+    def position(self) -> float:
+        """Return where the device stood last, in a step done or failed [unit of x].
+
+        Raises:
+            RecordingError: No step has left a position.
+        """
+        for item in reversed(self.attempts):
+            value = item.result.get('position')
+            if isinstance(value, (int, float)) and not isinstance(value, bool):
+                return float(value)
+        return self.number('identify', 'position')
+
     def number(self, step: str, name: str) -> float:
         """Return a number of the newest result of a step.
 

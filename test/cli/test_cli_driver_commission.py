@@ -7,13 +7,17 @@ from pathlib import Path
 import shlex
 import signal
 import sys
+import types
 
 import numpy as np
 import pytest
 
+from dz_ros.cli.driver.commission_loop import from_where_it_stands
+from dz_ros.cli.driver.commission_state import StepFailedError
 from dz_ros.cli.main import main
 from dz_ros.core.configuration import Configuration
 from dz_ros.files.configurations import load_configuration
+from dz_ros.identification.commissioning import StepLog
 from dz_ros.identification.estimation.sensor import resolution
 from dz_ros.recording.reader import read_run
 
@@ -190,6 +194,26 @@ def test_a_motion_that_takes_more_than_the_effort_is_named_before_it_is_tried():
         found = lacks(Proposal(c, c, {}, rows), 0.5)
         assert text in found
         assert bool(text) == bool(found)
+
+
+@pytest.mark.parametrize(('left', 'words'), [
+    (None, []), (0.5, ['--set', 'trajectory.start=0.5', '--set', 'trajectory.goal=0.25']),
+    (-0.5, ['--set', 'trajectory.start=-0.5', '--set', 'trajectory.goal=-0.25']), (1.5, None)])
+def test_a_loop_tried_again_begins_where_the_one_before_left_the_device(tmp_path, left, words):
+    attempts = [{'step': 'identify', 'outcome': 'done', 'result': {'position': 0.0}}]
+    if left is not None:
+        attempts.append({'step': 'loop', 'outcome': 'failed', 'result': {'position': left}})
+    (tmp_path / 'commissioning.jsonl').write_text(''.join(json.dumps(
+        {'number': number, 'begun': '2026-01-01T00:00:00+00:00', 'words': 'x', 'folder': '',
+         **item}) + '\n' for number, item in enumerate(attempts, 1)), encoding='utf-8')
+    state = types.SimpleNamespace(log=StepLog(tmp_path), limits=types.SimpleNamespace(travel=2.0),
+                                  answered=types.SimpleNamespace(amplitude=0.25))
+    c = load_configuration('serial')
+    if words is None:
+        with pytest.raises(StepFailedError, match='bring it back and begin with --from identify'):
+            from_where_it_stands(state, c)
+    else:
+        assert from_where_it_stands(state, c) == words
 
 
 def test_one_step_of_a_position():

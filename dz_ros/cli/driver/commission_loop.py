@@ -162,7 +162,8 @@ def loop_step(state: State) -> Outcome:
     state.may_move(f'the first closed loop, {amplitude:g} back and forth', c.loop.duration)
     print_lines(f'the e-stop is armed: topic {name}, dz estop, Ctrl-C')
     directory = state.folder / 'run'
-    words = ['run', str(path), '--record', str(directory), '--namespace', state.namespace]
+    words = ['run', str(path), '--record', str(directory), '--namespace', state.namespace,
+             *from_where_it_stands(state, c)]
     arguments = parser_of(words).parse_args(words)
     previous = {number: signal.getsignal(number) for number in ENDS}
     try:
@@ -183,6 +184,8 @@ def loop_step(state: State) -> Outcome:
     error = float(np.quantile(tail, MOSTLY)) if len(tail) else math.inf
     numbers = {'error': error, 'error_max': view.metrics.error_max, 'exit_code': code,
                'failures': list(verdict.failures)}
+    if len(rows.x):
+        numbers['position'] = float(rows.x[-1, 0])
     if code or verdict.failures:
         raise StepFailedError('; '.join(verdict.failures) or f'exit code {code}', **numbers)
     found = (f'error {error:.3g} {unit} in {MOSTLY:.0%} of the last samples, largest '
@@ -191,6 +194,26 @@ def loop_step(state: State) -> Outcome:
     if not error <= TRACKS * amplitude:
         raise StepFailedError(f'it does not track: {found}', **numbers)
     return Outcome(f'it tracks: {found}', numbers)
+
+
+def from_where_it_stands(state: State, c: Configuration) -> list[str]:
+    """Return the words by which a repeated loop begins where the device was left.
+
+    Raises:
+        StepFailedError: It is beyond the travel about where it stood when it was identified.
+    """
+    if c.plant.order < 2 or c.simulated:        # a simulated plant begins anew
+        return []
+    home, here = state.log.number('identify', 'position'), state.log.position()
+    if here == home:
+        return []
+    travel, unit = state.limits.travel, c.make_driver().state_units[0]
+    if abs(here - home) > 0.5 * travel:
+        raise StepFailedError(f'the loop before has left the device at {here:.4g} {unit}, further '
+                              f'than {0.5 * travel:.4g} from {home:.4g}, where it was identified: '
+                              'bring it back and begin with --from identify')
+    goal = here + math.copysign(state.answered.amplitude, home - here)
+    return ['--set', f'trajectory.start={here!r}', '--set', f'trajectory.goal={goal!r}']
 
 
 def report_step(state: State) -> Outcome:
