@@ -21,6 +21,7 @@ from typing import Any, cast
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.loop.code_store import CodeStore, StoredCode, UnnamedError
 from dz_ros.core.loop.offline import Loop, make_loop, Run, simulate
+from dz_ros.core.loop.scalar_compiler import compilers
 from dz_ros.errors import MissingDependencyError
 
 loops: dict[tuple[Any, ...], Loop] = {}
@@ -71,13 +72,9 @@ def compiled(function: Callable[..., Any], allocates: bool = False, inner: bool 
     # Python's errors for what Python refuses (division by zero); no reordering of operations.
     options: dict[str, Any] = {} if allocates else {'_nrt': False, 'forceinline': True}
     if not allocates:
-        try:
-            from dz_ros.core.loop.scalar_compiler import Called, Inlined, usable
-        except (ImportError, AttributeError):       # another version of numba
-            pass
-        else:
-            if usable():
-                options['pipeline_class'] = Inlined if inner else Called
+        found = compilers()
+        if found is not None:
+            options['pipeline_class'] = found[inner]
     options |= {'no_cpython_wrapper': inner, 'no_cfunc_wrapper': True}
     return njit(copy, error_model='python', fastmath=False, **options)
 
