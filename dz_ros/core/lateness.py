@@ -2,7 +2,7 @@
 """What counts as late, for every count, table, log line and picture.
 
 `dz_ros.runtime.deadlines`, which imports the standard library alone, and the live page have it
-once more; a test holds them to this one.
+too; a test holds them to this one.
 """
 
 from __future__ import annotations

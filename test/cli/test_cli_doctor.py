@@ -39,7 +39,7 @@ def printed(monkeypatch, capsys, answers):
 
 def test_a_machine_that_permits_nothing_gets_one_line_of_advice(monkeypatch, capsys):
     out = printed(monkeypatch, capsys, {False: measured(1e-4),
-                                     True: measured(1e-4, ['SCHED_FIFO 50'])})
+                                        True: measured(1e-4, ['SCHED_FIFO 50'])})
     advice = [line for line in out.splitlines() if 'limits.conf' in line]
     assert len(advice) == 1
     assert out.count('  refused') == 8
@@ -53,7 +53,7 @@ def test_what_helps_is_named_with_what_it_helps(monkeypatch, capsys):
 
 def test_what_does_not_help_is_not_recommended(monkeypatch, capsys):
     assert 'leave them off' in printed(monkeypatch, capsys, {False: measured(1e-4),
-                                                          True: measured(9e-5)})
+                                                             True: measured(9e-5)})
 
 
 @pytest.mark.parametrize('seconds', ['0', '-1', '1e9', 'nan'])

@@ -138,7 +138,7 @@ def test_a_reader_that_goes_away_is_no_error(tmp_path):
                           env=with_sources())
     assert done.stdout.startswith('k,t,x0,x1')
     assert done.stdout.count('\n') == 1
-    # What takes longer than 3 s says what it does.
+    # What takes longer than 3 s shows its progress.
     assert [line for line in done.stderr.splitlines() if not line.startswith('simulating ')] == []
     assert done.returncode == 141
 

@@ -141,7 +141,7 @@ def test_a_fault_lasts_until_the_operator_resets(serial_device, driver, fault, w
 
 
 def test_a_fault_from_before_is_reset_by_a_host_that_starts_again(serial_device, driver, make,
-                                                                 until):
+                                                                  until):
     process = serial_device('trip@0.2+1.5')
     first = driver()
     until(lambda: first.fault() == 'the device reports fault 7', first, 1.0)

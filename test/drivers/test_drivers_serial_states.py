@@ -141,7 +141,7 @@ LIES = {
     'no power': (lambda: lambda s: [replace(s, mode=Mode.DISABLED)],
                  'is in mode disabled, asked for run'),
     'a trip between two states': (lambda: lambda s: [replace(s, trips=(s.trips + 1) % 256)],
-                               'has tripped'),
+                                  'has tripped'),
     'a fault without its mode': (lambda: lambda s: [replace(s, faults=(9,))],
                                  'reports fault 9 in mode run'),
     'another number of values': (lambda: lambda s: [replace(s, values=((1, 2, 3),))],

@@ -55,7 +55,7 @@ def test_a_force_that_is_wrong_is_found(axis, share):
     assert found.a[:2] == pytest.approx(c.plant.a[:2], abs=0.01)
 
 
-def test_it_is_held_to_the_confidence_of_the_stretches(axis):
+def test_it_is_bound_to_the_confidence_of_the_stretches(axis):
     c, samples = axis
     truth = c.plant.a[2]
     loose = refine_by_simulation(plant(c, 1.5 * truth, abs(truth)), samples, c, 0)['a3'].value

@@ -120,7 +120,7 @@ def joint_settings(processes, ros_domain):
     """Controller and hardware of a joint of ros2_control; its settings."""
     pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
     root = Path(__file__).parents[2]
-    processes(str(root / 'test' / 'nodes' / 'ros2_control_stand_in.py'),
+    processes(str(root / 'test' / 'nodes' / 'ros2_control_emulator.py'),
               str(root / 'config' / 'joint.yaml'), 'effort', 'active=1',
               PYTHONPATH=str(root)).wait_for_line('controllers are loaded')
     return ('driver.fresh=4.0',)

@@ -141,7 +141,7 @@ def test_samples_without_a_measurement_have_no_state_and_too_many_are_a_fault(
     subscriber.wait(lambda: subscriber.mode()[0] == 'fault')
     assert subscriber.mode()[1].startswith('no measurement for ')
     subscriber.wait(lambda: '/actuator_node' in subscriber.reported
-                  and int(subscriber.values()['samples without measurement']) > 100)
+                    and int(subscriber.values()['samples without measurement']) > 100)
     assert subscriber.values()['bad measurements'] == '1'
     loop.interrupt()
     sequence = set(map(int, read_run(recorded).channels['state']['seq']))
@@ -177,7 +177,7 @@ def test_a_refused_activation_leaves_the_node_inactive_and_may_be_tried_again(
     request = SetParameters.Request(parameters=[rclpy.parameter.Parameter(
         'driver.script', value=['0 none']).to_parameter_msg()])
     assert subscriber.call('actuator_node/set_parameters', SetParameters,
-                         request).results[0].successful
+                           request).results[0].successful
     assert subscriber.change(3)
     assert subscriber.change(4)
     assert subscriber.change(2)
@@ -214,7 +214,7 @@ def test_saturation_is_counted_and_warned_of(run, subscriber):
     subscriber.wait(lambda: '/actuator_node' in subscriber.reported and int(
         subscriber.values()['saturated by the device [commands]']) > 100)
     subscriber.wait(lambda: 'beyond the limit 0.05 of the device'
-                  in subscriber.reported['/actuator_node'].message)
+                    in subscriber.reported['/actuator_node'].message)
     assert subscriber.values()['driver'] == 'mock'
 
 

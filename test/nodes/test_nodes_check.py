@@ -24,7 +24,7 @@ TIME_OUT = 180.0
 LATE = {'rate', 'latency', 'answers at once', 'measurement', 'no fault', 'echo', 'seq'}
 """Checks that a busy machine may fail."""
 EXCUSED = ('the machine was late too', 'commands come too late to show')
-"""What the kit says where a process that only waits stood still as well."""
+"""What the kit reports where a process that only waits stood still as well."""
 
 
 def failed(found):

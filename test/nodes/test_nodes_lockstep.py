@@ -102,7 +102,7 @@ def test_the_two_that_take_turns_share_no_core(processes, operator, timing):
     words = [f'loop.timing:={timing}' if item == 'loop.timing:=lockstep' else item
              for item in ARGUMENTS]
     loop = {name: processes(*NODE, name, *words) for name in NAMES}
-    operator.wait(lambda: len(operator.heard['state']) > 100)
+    operator.wait(lambda: len(operator.received['state']) > 100)
     cores = {name: os.sched_getaffinity(node.pid) for name, node in loop.items()}
     assert not cores['plant_node'] & cores['controller_node']
     assert cores['plant_node'] | cores['controller_node'] == cores['trajectory_node']

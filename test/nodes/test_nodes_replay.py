@@ -100,7 +100,7 @@ def test_events_are_offered_to_late_joiners_as_they_were(processes, subscriber, 
     subscriber.subscribe('/state')
     subscriber.wait(lambda: subscriber.received['/state'])
     subscriber.subscribe('/events', String, raw=False,
-                    durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
+                         durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
     subscriber.wait(lambda: subscriber.received['/events'])
     assert subscriber.received['/events'][0].data == '{"event": "started"}'
     replay.signal(signal.SIGINT)

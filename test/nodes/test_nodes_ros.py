@@ -96,13 +96,13 @@ def test_parameters_carry_description_unit_and_range(processes, subscriber):
     from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
     processes(*NODE, 'controller_node', *ARGUMENTS, '-p', 'controller.k_d:=7')
     listed = subscriber.call('/controller_node/list_parameters', ListParameters,
-                           ListParameters.Request()).result.names
+                             ListParameters.Request()).result.names
     assert {'loop.rate', 'plant.model', 'controller.law', 'controller.lambda',
             'controller.theta_0'} <= set(listed)
     assert not [name for name in listed if name.startswith(('trajectory.', 'plant.dead_zone'))]
     names = ['controller.lambda', 'loop.delay', 'controller.law', 'controller.theta_0']
     described = subscriber.call('/controller_node/describe_parameters', DescribeParameters,
-                              DescribeParameters.Request(names=names)).descriptors
+                                DescribeParameters.Request(names=names)).descriptors
     by_name = {item.name: item for item in described}
     assert '[1/s]' in by_name['controller.lambda'].description
     assert not by_name['controller.lambda'].floating_point_range    # it has no upper end

@@ -46,7 +46,7 @@ NOT_TAKEN = 'the device does not take power|nothing that speaks the protocol ans
 
 
 def wait_until_taken(processes, watcher, nodes):
-    """Wait until a node has the device and says so; one that came to nothing starts again."""
+    """Wait until a node has the device and publishes its mode; one that ended starts again."""
     def taken():
         node = nodes['actuator_node']
         if node.poll() == 2 and re.search(NOT_TAKEN, node.output):
@@ -102,7 +102,7 @@ def test_a_fault_of_the_device_is_latched_and_a_reset_goes_on(loop, watcher, fau
     ('mode@3+1', 'is in mode safe, asked for run'),
 ])
 def test_a_device_that_lies_or_receives_nothing_gets_no_power_before_a_reset(loop, watcher, fault,
-                                                                          reason):
+                                                                             reason):
     device, nodes = loop(fault, silence='1.0', wait=False, watchdog='0.1', fresh='20.0')
     name = fault.partition('@')[0]
     device.wait_for_line(f'{name} begins')

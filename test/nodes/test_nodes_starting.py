@@ -75,7 +75,7 @@ HOMES = [{'HOME': None}, {'HOME': ''}, {'HOME': '/dev/null'}, {'ROS_LOG_DIR': '/
 
 @pytest.mark.parametrize('environment', HOMES, ids=str)
 def test_without_a_folder_for_log_files_a_node_reports_what_to_set_and_goes_on(processes,
-                                                                            environment):
+                                                                               environment):
     node = processes('-m', 'dz_ros.nodes.main', 'plant_node', '--ros-args', '-p',
                      'loop.peers:=["absent_node"]', **{'ROS_LOG_DIR': None, **environment})
     node.wait_for_line('waiting for')

@@ -105,7 +105,7 @@ def topic_of(info, name='/reference'):
      'compression_mode'),
 ])
 def test_what_metadata_yaml_reports_otherwise_is_named(make_bag, data, same, storage, mode, change,
-                                                    reported):
+                                                       reported):
     bag = make_bag(storage, mode)
     assert run_info(bag).notes == ()
     edit(bag, change)
@@ -334,8 +334,8 @@ def test_another_type_on_our_name(composed, data, same, tmp_path, where, reporte
 @pytest.mark.parametrize('encoding', ['protobuf', 'flatbuffer', 'json', 'ros1', 'cbor', ''])
 def test_other_encodings_with_binary_schemas(composed, data, same, tmp_path, encoding):
     path = composed(before=parts.schema(60, 'x.Imu', b'\n\x0b\xff\xfe\x00\x01', encoding)
-                   + parts.channel(60, 60, '/imu', encoding)
-                   + parts.message(60, composed.time, b'\x08\xff'))
+                    + parts.channel(60, 60, '/imu', encoding)
+                    + parts.message(60, composed.time, b'\x08\xff'))
     same(read_run(path), data, publish=False)
     assert run_info(path).topics['/imu'].messages == 1
     copy = recover(path, tmp_path / 'copy')
@@ -346,7 +346,7 @@ def test_other_encodings_with_binary_schemas(composed, data, same, tmp_path, enc
 def test_a_binary_definition_of_cdr_is_kept_to_the_byte(composed, tmp_path):
     definition = b'\n\x0b\xff\xfe\x00\x01'
     path = composed(before=parts.schema(60, 'x/msg/Imu', definition, 'omgidl')
-                   + parts.channel(60, 60, '/imu') + parts.message(60, composed.time, WORD))
+                    + parts.channel(60, 60, '/imu') + parts.message(60, composed.time, WORD))
     copy = recover(path, tmp_path / 'copy')
     assert copy.notes == ()
     assert definition in b''.join(
@@ -356,7 +356,7 @@ def test_a_binary_definition_of_cdr_is_kept_to_the_byte(composed, tmp_path):
 
 def test_attachments_and_metadata_are_kept(composed, data, same, tmp_path):
     path = composed(outside=parts.attachment('zero.json', b'{"zero": 12}', 5)
-                   + parts.metadata('lab', {'operator': 'A'}))
+                    + parts.metadata('lab', {'operator': 'A'}))
     copy = recover(path, tmp_path / 'copy')
     same(read_run(copy.directory), data, publish=False)
     file = McapFile(next(copy.directory.glob('*.mcap')), skip_damage=True)
@@ -371,7 +371,7 @@ def test_what_recover_cannot_keep_it_names(composed, tmp_path):
     broken = bytearray(parts.attachment('zero.json', b'{"zero": 12}', 5))
     broken[-8] ^= 1
     path = composed(outside=bytes(broken) + parts.metadata('dz_ros.mine', {'a': 'b'})
-                   + parts.record(0x90, b'private'))
+                    + parts.record(0x90, b'private'))
     notes = ' '.join(recover(path, tmp_path / 'copy').notes)
     assert 'attachment' in notes
     assert 'dz_ros.mine' in notes

@@ -279,8 +279,8 @@ def test_joint_states_of_a_bag(tmp_path, storage):
     done = import_run(found.chosen, sources, axis(), False, 0)
     assert done.run.channels['command']['v'] == pytest.approx(np.arange(50))
     for column, reported in (('/leg/position[0]', 'no topic of /leg.*there are /arm/joints'),
-                         ('/arm/joints/position[7]', 'no field .*position'),
-                         ('/arm/joints/torque', 'no field')):
+                             ('/arm/joints/position[7]', 'no field .*position'),
+                             ('/arm/joints/torque', 'no field')):
         with pytest.raises(RecordingError, match=reported):
             read_bag(open_source(tmp_path / 'bag'), [column])
 

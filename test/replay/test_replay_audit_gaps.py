@@ -54,7 +54,7 @@ def test_what_the_device_did_not_measure_is_not_missing(logs, recorded, ranges, 
     run = logs.drop(recorded, 'state', *np.flatnonzero((seq >= 150) & (seq <= 154)))
     text = json.dumps({'node': '/plant_node', 'event': 'unmeasured', 'ranges': ranges})
     claimed = replace(run, events=(*run.events, (int(run.channels['state'].log_time[-1]),
-                                              '/plant_node', text)))
+                                                 '/plant_node', text)))
     result = audit(claimed)
     missing = [item for item in result.findings if item.startswith('state: ')]
     assert bool(missing) == bool(left)

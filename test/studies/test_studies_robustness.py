@@ -58,7 +58,7 @@ def test_the_worst_cases_state_the_bounds_they_were_drawn_from(law):
 @pytest.mark.parametrize('law', ['wang2004', 'robust'])
 def test_the_bounds_of_b_change_no_number_of_the_law(law):
     given, example = (Configuration.from_flat({'controller.law': law, **more}).law.constants
-                     for more in ({'controller.b_bounds': [0.5, 2.0]}, {}))
+                      for more in ({'controller.b_bounds': [0.5, 2.0]}, {}))
     assert given == example
 
 

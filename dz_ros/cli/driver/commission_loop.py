@@ -202,7 +202,7 @@ def from_where_it_stands(state: State, c: Configuration) -> list[str]:
     Raises:
         StepFailedError: It is beyond the travel about where it stood when it was identified.
     """
-    if c.plant.order < 2 or c.simulated:        # a simulated plant begins anew
+    if c.plant.order < 2 or c.simulated:        # a simulated plant begins at its x0
         return []
     home, here = state.log.number('identify', 'position'), state.log.position()
     if here == home:

@@ -4,7 +4,7 @@
 Stretches of a second hardly distinguish a constant force, the friction of both sides and viscous
 friction: each has a wide confidence interval, and a simulation of many seconds with values from
 anywhere in them drifts away. So a_i and the slopes become those with which such simulations stay
-near what was measured, held to the estimates of the stretches by their confidence,
+near what was measured, bound to the estimates of the stretches by their confidence,
 
     min Σ_g (S_g/σ²) mean_k |x_k − x̂_k(p)|² + Σ_i ((p_i − p̂_i)/s_i)²
 

@@ -152,7 +152,7 @@ class RealTimeClock(LoopClock):
         ticks.index = round(node.t / self._period)
         while not node.halted and ticks.index < last:
             self._await_answer(ticks)
-            # Not before the answer: it would take a core from those who make it.
+            # Not before the answer: it would take a core from the controller.
             node.publish_truth()
             node.diagnostics.publish_if_due()
             if self._expected is not None:
