@@ -40,9 +40,10 @@ from dz_ros.core.configuration import Configuration  # noqa: E402
 from dz_ros.core.loop.compiled import available, compiled_loop  # noqa: E402
 from dz_ros.core.loop.offline import simulate  # noqa: E402
 from dz_ros.studies.code_folder import keep_compiled  # noqa: E402
+from dz_ros.studies.entrants import entrants  # noqa: E402
 from dz_ros.studies.outcome import rows_of  # noqa: E402
 from dz_ros.studies.pool import cores  # noqa: E402
-from dz_ros.studies.scenarios import base_configuration, entrants  # noqa: E402
+from dz_ros.studies.scenarios import base_configuration  # noqa: E402
 
 TURNS, RUNS = 11, 10
 """Turns of loops and rows; runs in each."""

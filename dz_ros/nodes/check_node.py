@@ -40,7 +40,7 @@ DELAY_EVERY, DELAY_PERIODS = 10, 0.5
 RECOVERY = 5.0
 """After a stop, commands must act again within this [s]."""
 STANDSTILL = 0.1
-"""A check that fails is repeated if no state came for longer than this, and 5 T [s]."""
+"""A check is repeated if no state came for longer than this, and 5 T, meanwhile [s]."""
 STOP, STOPPED = 0.5, 20
 """From this loop time after an e-stop on no command may act [s]; this number of states shows that
 none does."""
@@ -129,8 +129,9 @@ class CheckNode(LoopNode):
             try:
                 result = check(name)
                 stood_still = evidence.silence() > max(STANDSTILL, 5.0 * self._period)
-                if result.passed is False and stood_still:
-                    # It proves nothing: the machine stood still, commands aged, a fault latched.
+                if result.passed is not None and stood_still:
+                    # It proves nothing: the machine stood still, commands aged, a fault latched,
+                    # or states came in a burst, none of which could have had the new command.
                     self._answering = True
                     self._estop.publish(False)
                     self._wait(0.2)

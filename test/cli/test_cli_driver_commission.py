@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`dz driver commission`: limits, sign, sensor, identification, proposal, check; again."""
+"""`dz driver commission`: limits, sign, sensor, identification, proposal, check; again.
+
+Over 300 lines: the steps of one verb, with the same device and folder of earlier steps.
+"""
 
 import json
 import os

@@ -212,7 +212,7 @@ def test_the_e_stop_topic_stops_it(tmp_path, monkeypatch, capsys, device, ros_do
     presser = threading.Thread(target=press)
     presser.start()
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr('dz_ros.drivers.conformance.driver_checks.RUN_15.0ATION', 120.0)
+    monkeypatch.setattr('dz_ros.drivers.conformance.driver_checks.RUN_DURATION', 120.0)
     code = main(['driver', *words, '--yes', '--set', 'driver.name=a_device:Device'])
     presser.join()
     assert code == 2

@@ -166,9 +166,12 @@ def test_a_refused_gain_reports_why_and_an_accepted_one_is_recorded(open_page, l
     assert actions[2]['values'] == {'plant.dead_zone.b_r': 0.31}
     stated = [json.loads(text) for _, _, text in data.events
               if '"owns": ["loop", "plant"' in text]
-    assert stated[-1]['configuration']['plant.disturbance_pulse'][1] == 15.0
+    begins, size, length = stated[-1]['configuration']['plant.disturbance_pulse']
+    assert (size, length) == (15.0, 0.05)
     truth = data.channels['truth']
-    assert 0 < (truth['disturbance'] < -14.0).sum() <= 10       # 50 ms at 200 Hz
+    # Ten samples at 200 Hz; a busy machine may have skipped some, or all of them.
+    within = ((truth['stamp'] > begins - 0.002) & (truth['stamp'] < begins + length - 0.002)).sum()
+    assert abs(int((truth['disturbance'] < -14.0).sum()) - int(within)) <= 1
 
 
 def test_loss_of_the_loop_is_shown_within_a_second(open_page, processes, ros_domain):

@@ -211,6 +211,7 @@ def test_what_other_machines_send_is_counted_by_cause_and_moves_no_axis(
 
 def test_a_stream_of_foreign_messages_is_silence_for_every_axis(start, operator):
     nodes = start()
+    operator.wait(lambda: operator.received['command'])
     last = operator.received['command'][-1]
     nodes['controller_node'].signal(signal.SIGKILL)
     nodes.pop('controller_node').wait()
