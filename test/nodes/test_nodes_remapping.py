@@ -195,8 +195,9 @@ def test_the_page_acts_on_a_loop_whatever_its_names_are(processes, outside):
                         if message.type is aiohttp.WSMsgType.TEXT:
                             answer = json.loads(message.data)
                     # Refused while a machine that stalls keeps the loop, or this page, silent.
-                    if answer['ok'] or not re.search(r'no \w+ arrives|it was asked|within|cancelled',
-                                                     answer.get('message', '')):
+                    if answer['ok'] or not re.search(
+                            r'no \w+ arrives|it was asked|within|cancelled',
+                            answer.get('message', '')):
                         break
                 answers.append(answer)
         return answers
