@@ -69,7 +69,7 @@ def test_namespaces_remapping_and_labels(processes, subscriber):
     for topic in ('/left/renamed', '/left/command', '/left/terms'):
         subscriber.subscribe(topic, Float64MultiArray)
     durable = rclpy.qos.QoSProfile(
-        depth=10, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
+        depth=200, durability=rclpy.qos.DurabilityPolicy.TRANSIENT_LOCAL)
     subscriber.subscribe('/left/events', String, durable)
     nodes = [processes(*NODE, name, *ARGUMENTS, '-r', '__ns:=/left', '-r', 'state:=renamed',
                        '-p', 'loop.duration:=0.0') for name in NAMES]

@@ -13,6 +13,7 @@ from functools import cache
 import importlib.util
 import json
 from pathlib import Path
+import re
 import resource
 import shutil
 import struct
@@ -101,8 +102,9 @@ def run(*commands):
     found, memory = json.loads(done.stdout.splitlines()[-1])
     for words, (code, errors, _) in zip(commands, found, strict=True):
         assert code in (0, 1, 2), f'{words}: {errors}'
-        if code == 2:
-            assert len(errors.splitlines()) == 1, words
+        if code == 2:       # what takes longer than 3 s shows its progress besides
+            own = [line for line in errors.splitlines() if not re.search(r': \d+ s$', line)]
+            assert len(own) == 1, words
             assert len(errors) < 2000
             assert 'report issue' not in errors
     assert memory < MEMORY
