@@ -237,12 +237,13 @@ def test_a_trip_of_one_motor_stops_all_and_names_its_axis(machine, watcher):
 def test_a_device_that_dies_stops_every_axis_until_the_reset(machine, serial_device, watcher):
     device, nodes = machine()
     watcher.running()
+    # First what it would leave behind: another test's terminal may get the number it points to.
+    serial_device.port.unlink()
     device.signal(9)
     device.wait()
     watcher.wait_for_mode(actuator_node='fault', controller_node='fault')
     reported = watcher.modes()['actuator_node'][1]
     assert 'axes pan, tilt, roll: ' in reported
-    serial_device.port.unlink()         # what it left behind
     again = serial_device('restart@1000', motors=3)     # the script makes it log its modes
     again.wait_for_line('mode disabled')
     states = len(watcher.states)
