@@ -58,7 +58,8 @@ def start(processes, operator):
     """Return ``start(*arguments)``: the nodes of a loop without end, by name, that runs."""
     def begin(*arguments):
         nodes = {name: processes(*NODE, name, *ARGUMENTS, *arguments) for name in NAMES}
-        operator.wait(lambda: len(operator.received['state']) > 50)
+        operator.wait(lambda: len(operator.received['state']) > 50 and operator.received['command']
+                      and operator.received['terms'])
         return nodes
 
     return begin
@@ -211,7 +212,6 @@ def test_what_other_machines_send_is_counted_by_cause_and_moves_no_axis(
 
 def test_a_stream_of_foreign_messages_is_silence_for_every_axis(start, operator):
     nodes = start()
-    operator.wait(lambda: operator.received['command'])
     last = operator.received['command'][-1]
     nodes['controller_node'].signal(signal.SIGKILL)
     nodes.pop('controller_node').wait()

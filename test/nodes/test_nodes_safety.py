@@ -39,7 +39,8 @@ def loop(processes, operator):
     """Return node name → process of a loop that runs, and the operator."""
     nodes = {name: start(processes, name) for name in NAMES}
     operator.wait_for_mode(plant_node='running', controller_node='running')
-    operator.wait(lambda: len(operator.received['state']) > 50)
+    operator.wait(lambda: len(operator.received['state']) > 50
+                  and all(operator.received.values()))
     return nodes
 
 
