@@ -69,7 +69,7 @@ def bare(*words: str, transport: str = '', profile: bool = False) -> Any:
     return process([str(BARE), *words], environment(transport, profile))
 
 
-def told(started: subprocess.Popen[str]) -> Any:
+def printed_json(started: subprocess.Popen[str]) -> Any:
     """Return what a process prints as JSON before it ends."""
     out, _ = started.communicate(timeout=TIME_OUT)
     if started.returncode:
@@ -81,14 +81,14 @@ def refused(*words: str) -> bool:
     """Whether the system refuses what a probe asks for."""
     with process(['-m', 'dz_ros.runtime.probe', '--duration', '0.1', *words],
                  environment()) as probe:
-        return bool(told(probe)['refused'])
+        return bool(printed_json(probe)['refused'])
 
 
 def echo(way: str, transport: str, duration: float) -> list[float]:
     """Return the round trips of a bare two-process echo [s]."""
     with bare('pong', '--way', way, transport=transport), bare(
             'ping', '--way', way, '--duration', str(duration), transport=transport) as ping:
-        found = told(ping)
+        found = printed_json(ping)
     shared = any(name.startswith('dds.shm') for name in found['threads'])
     if way != 'plain' and shared == bool(transport):
         sys.exit(f'an echo by {transport or "shared memory"} has the threads '
@@ -101,7 +101,7 @@ def echo(way: str, transport: str, duration: float) -> list[float]:
 def bare_ticks(duration: float, rate: float = 200.0) -> list[float]:
     """Return |period − T| of an absolute-deadline loop without ROS [s]."""
     with bare('ticks', '--rate', str(rate), '--duration', str(duration)) as ticking:
-        woke = np.array(told(ticking)['woke_ns'])
+        woke = np.array(printed_json(ticking)['woke_ns'])
     return list(np.abs(np.diff(woke) * 1e-9 - 1.0 / rate)[round(0.5 * rate):])
 
 
@@ -161,7 +161,7 @@ def interleaved(duration: float, folder: Path) -> tuple[list[float], list[float]
             more = ('-p', f'directory:={folder}') if start[-1] == 'recorder_node' else ()
             stack.enter_context(process([*start, *words, *more], env))
         plant = stack.enter_context(process([str(INTERLEAVED), 'plant_node', *words], env))
-        echoed = [item * 1e-9 for item in told(plant)['round_trips_ns']]
+        echoed = [item * 1e-9 for item in printed_json(plant)['round_trips_ns']]
     found = Measured()
     judge(found, read_run(folder))
     return found.round_trips, echoed[len(echoed) - len(found.round_trips):]

@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
     hosts = HostedDrivers(machine) if len(names) > 1 and not arguments.topics else None
     subjects = [_subject(arguments, name, c, Beside(hosts, place) if hosts else None)
                 for place, (name, c) in enumerate(zip(names, machine.each, strict=True))
-                if arguments.axis in (None, '', name) or not machine.axes]
+                if arguments.axis is None or name in ('', arguments.axis)]
     if arguments.topics:
         check_rclpy()
     _ask(arguments, machine, max(item.amplitude for item in subjects))

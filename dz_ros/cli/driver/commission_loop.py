@@ -11,6 +11,7 @@ import sys
 import numpy as np
 
 from dz_ros.cli.check import format_findings, stability_limit
+from dz_ros.cli.driver.commission_moves import last_position
 from dz_ros.cli.driver.commission_state import Outcome, State, StepFailedError
 from dz_ros.cli.driver.identify_output import proposal_lines
 from dz_ros.cli.interrupt import INTERRUPTED
@@ -184,8 +185,8 @@ def loop_step(state: State) -> Outcome:
     error = float(np.quantile(tail, MOSTLY)) if len(tail) else math.inf
     numbers = {'error': error, 'error_max': view.metrics.error_max, 'exit_code': code,
                'failures': list(verdict.failures)}
-    if len(rows.x):
-        numbers['position'] = float(rows.x[-1, 0])
+    if np.isfinite(rows.x[:, 0]).any():
+        numbers['position'] = last_position(rows.x[:, 0])
     if code or verdict.failures:
         raise StepFailedError('; '.join(verdict.failures) or f'exit code {code}', **numbers)
     found = (f'error {error:.3g} {unit} in {MOSTLY:.0%} of the last samples, largest '

@@ -7,6 +7,7 @@ import time
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dz_ros.cli.driver.commission_state import Outcome, State, StepFailedError
 from dz_ros.cli.driver.identify_moves import move
@@ -47,9 +48,8 @@ def _moved(state: State, experiment: Moves, what: str) -> Samples:
     return samples
 
 
-def _position(samples: Samples) -> float:
-    """Return where the device stood last."""
-    x = samples.x[:, 0]
+def last_position(x: NDArray[np.float64]) -> float:
+    """Return where the device stood last, of positions of which one at least is finite."""
     return float(x[np.isfinite(x)][-1])
 
 
@@ -66,7 +66,7 @@ def sign_step(state: State) -> Outcome:
     right, left = test.sides[1], -test.sides[-1]
     return Outcome(f'the device follows the command: it began to move at v = {right:.4g} and '
                    f'{left:.4g} {c.make_driver().command_unit}',
-                   {'right': right, 'left': left, 'position': _position(samples)})
+                   {'right': right, 'left': left, 'position': last_position(samples.x[:, 0])})
 
 
 def sensor_step(state: State) -> Outcome:
@@ -84,7 +84,7 @@ def sensor_step(state: State) -> Outcome:
     missing = float(np.mean(~np.isfinite(samples.x[:, 0])))
     units = c.make_driver().state_units
     found = {'resolution': step, 'noise': list(pulses.noise), 'missing': missing,
-             'position': _position(samples)}
+             'position': last_position(samples.x[:, 0])}
     try:
         delay = find_delay(samples, c, pulses.moving)
         found['delay'] = delay
@@ -125,4 +125,4 @@ def identify_step(state: State) -> Outcome:
                                               for name, value in numbers.items())
                    + (f'; {problem}' if problem else ''),
                    {**numbers, 'delay': found.delay, 'residual': found.residual,
-                    'position': _position(samples)})
+                    'position': last_position(samples.x[:, 0])})
