@@ -28,7 +28,12 @@ def main() -> int:
     from dz_ros.cli.main import main as dz
 
     try:
-        return dz()
+        code = dz()
+        # Python notes an interrupt inside an exec of text (of a dataclass, while its module is
+        # imported) and, run with -m, ends by SIGINT whatever is returned; the next exec of text
+        # takes the note away.
+        exec('')
+        return code
     except KeyboardInterrupt:       # while the end of an earlier one, or of the program, was made
         os._exit(130)
 

@@ -94,6 +94,19 @@ def test_an_interrupt_is_one_line(verb, imported, delay, group, tmp_path):
         time.sleep(0.02)
 
 
+def test_an_interrupt_inside_an_exec_of_text_ends_with_the_code_too(tmp_path):
+    # Dataclasses are made so; with -m Python itself would then end the process by the signal.
+    (tmp_path / 'interrupted.py').write_text(
+        'import sys, dz_ros.cli.main as m, dz_ros.__main__ as d\n'
+        'm._run = lambda words: exec("raise KeyboardInterrupt")\nsys.exit(d.main())\n')
+    done = subprocess.run(
+        [sys.executable, '-m', 'interrupted'], cwd=tmp_path, capture_output=True, text=True,
+        env={**os.environ, 'PYTHONPATH': f'{tmp_path}{os.pathsep}{ROOT}'})
+    assert (done.returncode, done.stdout) == (130, ''), done.stderr
+    assert done.stderr.startswith('dz: interrupted')
+    assert done.stderr.count('\n') == 1
+
+
 @pytest.mark.parametrize('verb', ['simulate', 'tune'])
 def test_interrupts_while_it_ends_change_nothing(verb, tmp_path):
     process = start(LONG[verb], tmp_path, 'dz_ros.core.laws')
