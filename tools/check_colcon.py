@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build and test as colcon does in a ROS workspace, and look at what was installed.
 
-Tests marked `ros` are left to `make test`: they start real-time processes, and a second pass over
-the same code would only double the time.
+Tests marked `ros`, `live` or `slow` are left to `make test`: a second pass over the same code would
+only double the time.
 """
 
 import configparser
@@ -18,6 +18,9 @@ NAME = 'dz_ros'
 EXECUTABLES = ('dz', 'dz_ros', 'plant_node', 'actuator_node', 'controller_node', 'trajectory_node',
                'recorder_node', 'replay_node')
 TIME_LIMIT = 1800
+PYTEST_ARGS = ('-m', 'not ros and not live and not slow',   # those are left to `make test`
+               '--no-cov',          # colcon adds --cov, which takes twice as long
+               '-n', '3', '--dist', 'loadgroup')
 
 
 def files(folder: Path) -> set[str]:
@@ -68,8 +71,7 @@ def check(folder: Path, environment: dict[str, str]) -> None:
                                     f'{sorted(sources ^ shipped)}')
     use(prefix, folder, environment)
     colcon('test', *bases, *paths, '--return-code-on-test-failure', '--event-handlers',
-           'console_direct+', '--pytest-args',
-           '-m', 'not ros and not live and not slow')   # those are left to `make test`
+           'console_direct+', '--pytest-args', *PYTEST_ARGS)
     suite = ET.parse(build / NAME / 'pytest.xml').getroot().find('.//testsuite')
     assert suite is not None, 'colcon test left no result'
     count = int(suite.get('tests', '0')) - int(suite.get('skipped', '0'))
