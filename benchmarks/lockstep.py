@@ -135,7 +135,7 @@ class Side:
 
         from dz_ros.nodes.ros.base import quickest_executor
         from dz_ros.nodes.ros.polling import PolledSubscriptions
-        from dz_ros.nodes.ros.safety import EAGER
+        from dz_ros.nodes.ros.stop_and_reset import EAGER
         from dz_ros.nodes.ros.topics import LOCKSTEP
 
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)

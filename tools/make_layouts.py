@@ -22,7 +22,8 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 from dz_ros.core.configuration import Configuration  # noqa: E402
-from dz_ros.core.signals import Role, Signal, TERMS, Units  # noqa: E402
+from dz_ros.core.signals import Role, Signal, TERMS  # noqa: E402
+from dz_ros.core.units import Units  # noqa: E402
 from dz_ros.files.configurations import load_configuration  # noqa: E402
 from dz_ros.live.columns import shown  # noqa: E402
 from dz_ros.live.node_configurations import fields_of  # noqa: E402

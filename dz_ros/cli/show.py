@@ -12,7 +12,7 @@ from dz_ros.cli.options import add_configuration, configuration_overrides, read_
 from dz_ros.cli.output import print_json, print_lines
 from dz_ros.core.axes_keys import axis_key, is_machines, parts
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.signals import Units
+from dz_ros.core.units import Units
 from dz_ros.files.configurations import find_configuration, flat_parameters
 
 LONGEST = 60

@@ -15,7 +15,8 @@ from typing import Any
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.records import Command, Reference, State, Terms, Truth
-from dz_ros.core.signals import declared, names, Role, Signal, Units
+from dz_ros.core.signals import declared, names, Role, Signal
+from dz_ros.core.units import Units
 
 _PUBLISHED = Signal('published', 's', 'when the state was published', Role.INDEX)
 DERIVED_COLUMNS = (

@@ -8,7 +8,7 @@ from typing import Any
 
 from dz_ros.core import schema
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.signals import Units
+from dz_ros.core.units import Units
 from dz_ros.errors import ConfigurationError
 
 TITLES = {'controller': 'Gains and bounds', 'trajectory': 'Trajectory',

@@ -34,7 +34,7 @@ from dz_ros.nodes.parts.unmeasured import Unmeasured
 from dz_ros.nodes.ros.base import PEER_WAIT_LOG_PERIOD
 from dz_ros.nodes.ros.graph import publisher_count
 from dz_ros.nodes.ros.lifecycle import ManagedNode
-from dz_ros.nodes.ros.safety import EndSafety
+from dz_ros.nodes.ros.stop_and_reset import EndSafety
 
 
 class ActuatorNode(ManagedNode):

@@ -28,7 +28,7 @@ from dz_ros.drivers.conformance.stream_checks import check_stream
 from dz_ros.errors import DriverError, LoopError
 from dz_ros.nodes.parts.check_evidence import Evidence, Send
 from dz_ros.nodes.ros.base import LoopNode
-from dz_ros.nodes.ros.estop import EstopTopic
+from dz_ros.nodes.ros.estop_topic import EstopTopic
 from dz_ros.nodes.ros.parameters import configure
 
 FIRST_STATE = 15.0

@@ -25,7 +25,7 @@ from dz_ros.nodes.parts.start_checks import DesignLog
 from dz_ros.nodes.ros.base import SPIN_LIMIT
 from dz_ros.nodes.ros.graph import publisher_count
 from dz_ros.nodes.ros.lifecycle import ManagedNode
-from dz_ros.nodes.ros.safety import EndSafety
+from dz_ros.nodes.ros.stop_and_reset import EndSafety
 from dz_ros.runtime.expected_arrival import ExpectedArrival
 
 REFERENCE_TIMEOUT = 5.0

@@ -23,7 +23,7 @@ from std_srvs.srv import Trigger
 from dz_ros.core.text import LONGEST
 from dz_ros.errors import ConfigurationError, LoopError
 from dz_ros.nodes.ros.base import deliver, fixed_parameter
-from dz_ros.nodes.ros.estop import EstopTopic, OFFERED, TOPIC
+from dz_ros.nodes.ros.estop_topic import EstopTopic, OFFERED, TOPIC
 from dz_ros.nodes.ros.graph import publishers, subscribers
 from dz_ros.nodes.ros.topics import PUBLISHED_BY, STANDS_FOR
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from dz_ros.core.lateness import LATE_TEXT
-from dz_ros.core.signals import Units
+from dz_ros.core.units import Units
 from dz_ros.report import page
 from dz_ros.report.event_text import event_text
 from dz_ros.report.guarantee import guarantee

@@ -18,7 +18,8 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
 from dz_ros.core.plants.coupled import CoupledPlant
 from dz_ros.core.records import Command, Reference, State, Terms, Truth
-from dz_ros.core.signals import declared, estimates, Signal, Units
+from dz_ros.core.signals import declared, estimates, Signal
+from dz_ros.core.units import Units
 from dz_ros.runs.history import RunHistory
 
 
@@ -96,7 +97,7 @@ class Setting:
             configuration, problem)
 
     def unit(self, expression: str) -> str:
-        """Return the unit of an expression of `dz_ros.core.signals`; '' where it is unknown."""
+        """Return the unit of an expression of `dz_ros.core.units`; '' where it is unknown."""
         return self.units.resolve(expression)
 
     def column_units(self, names: Iterable[str]) -> dict[str, str]:

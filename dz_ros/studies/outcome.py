@@ -23,7 +23,8 @@ from dz_ros.core.design.linear_loop import largest_beta, LayerModel
 from dz_ros.core.design.stability import run_is_lost
 from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.core.loop.offline import Run
-from dz_ros.core.signals import TERM_NAMES, Units
+from dz_ros.core.signals import TERM_NAMES
+from dz_ros.core.units import Units
 from dz_ros.errors import ConfigurationError, DzRosError
 from dz_ros.runs.metrics import choose_window, measure
 from dz_ros.runs.setting import Setting

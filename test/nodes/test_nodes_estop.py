@@ -89,7 +89,7 @@ def both_reset(operator, *released):
 
 
 def test_a_publisher_without_a_node_is_no_end_because_another_publishes_states():
-    from dz_ros.nodes.ros.estop import EstopTopic, NAMELESS
+    from dz_ros.nodes.ros.estop_topic import EstopTopic, NAMELESS
 
     def info(name, gid):
         return SimpleNamespace(node_name=name, node_namespace='', endpoint_gid=[gid] * 16)
@@ -233,7 +233,7 @@ def test_the_subscriber_for_a_device_without_a_loop_receives_every_kind(processe
 @pytest.fixture
 def topic(ros_domain):
     """A node of this process with the e-stop, and another one that has no executor either."""
-    from dz_ros.nodes.ros.estop import EstopTopic
+    from dz_ros.nodes.ros.estop_topic import EstopTopic
     context = rclpy.Context()
     context.init()
     node = rclpy.create_node('end', context=context)
@@ -275,7 +275,7 @@ def test_one_call_finds_a_press_among_the_releases_of_a_stall(topic, before, aft
 def test_a_press_is_held_where_rules_for_names_form_a_chain(ros_domain):
     from std_msgs.msg import Bool
 
-    from dz_ros.nodes.ros.estop import EstopTopic
+    from dz_ros.nodes.ros.estop_topic import EstopTopic
     context = rclpy.Context()
     context.init()
     node = rclpy.create_node('end', context=context, cli_args=[
@@ -303,12 +303,12 @@ def test_a_node_does_not_receive_its_own_press(topic):
 
 
 def test_without_the_publishers_of_messages_no_release_counts(monkeypatch, ros_domain):
-    from dz_ros.nodes.ros import estop
-    monkeypatch.setattr(estop, '_Rcl', lambda: (_ for _ in ()).throw(OSError))
+    from dz_ros.nodes.ros import estop_topic
+    monkeypatch.setattr(estop_topic, '_Rcl', lambda: (_ for _ in ()).throw(OSError))
     context = rclpy.Context()
     context.init()
     node = rclpy.create_node('end', context=context)
-    topic = estop.EstopTopic(node)
+    topic = estop_topic.EstopTopic(node)
     topic.other = rclpy.create_node('other', context=context)
     press = publisher_on(topic, 'latched')
     press(True)

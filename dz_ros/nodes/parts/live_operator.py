@@ -25,7 +25,7 @@ from dz_ros.errors import ConfigurationError, LoopError
 from dz_ros.live.describe import checked, PULSE
 from dz_ros.live.requests import finite
 from dz_ros.nodes.operator_node import NOTHING
-from dz_ros.nodes.ros.estop import EstopTopic
+from dz_ros.nodes.ros.estop_topic import EstopTopic
 from dz_ros.nodes.ros.parameters import PARAMETER_TYPES
 
 SERVICE_TIMEOUT = 5.0

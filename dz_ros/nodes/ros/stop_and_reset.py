@@ -11,7 +11,7 @@ from std_srvs.srv import Trigger
 from dz_ros.core.events import StoppedEvent
 from dz_ros.core.safety.modes import LATCHED, Mode
 from dz_ros.core.safety.supervisor import Change
-from dz_ros.nodes.ros.estop import EstopTopic
+from dz_ros.nodes.ros.estop_topic import EstopTopic
 from dz_ros.runtime.privileges import usable_cores
 
 MAX_END_EVENT = 1 << 14
