@@ -10,7 +10,9 @@
 Plant, controller and trajectory are processes. Each press has a publisher of a random kind and a
 random length, is followed by releases of its own and of other publishers, and happens while
 nothing else does, while a process is stopped (SIGSTOP), or during a transition. It counts as
-received at an end that publishes that it is in mode `estop`. Then both ends are reset.
+received at an end that publishes that it is in mode `estop`. Then both ends are reset; where an
+earlier press comes after that, because it had been lost and was repeated, they are reset again
+before the next one.
 """
 
 from __future__ import annotations
@@ -100,13 +102,16 @@ def main() -> int:
                 presses.append(presser.press(int((number + 1) * ONCE) > int(number * ONCE)))
                 wrong = presses[-1]
                 if wrong.error or len(wrong.delays) < len(ENDS):
-                    print(json.dumps({'press': number, **vars(wrong)}), flush=True)
+                    print(json.dumps({'press': number, **vars(wrong),
+                                      'modes': presser.history()}), flush=True)
                     if wrong.error:
                         break
     text = f'Measured on {describe("ros-rclpy")}.\n\n{table(presses)}'
     print(text)
     if arguments.write:
         write(text)
+    if presser.late:
+        print(f'{presser.late} times an earlier press came once more after the reset')
     good = sum(len(item.delays) == len(ENDS) and not item.error for item in presses)
     print(f'{good} of {arguments.presses} presses stopped both ends')
     return int(good < arguments.presses)

@@ -96,11 +96,17 @@ class Presser:
     Args:
         loop: The loop.
         seed: Of everything random.
+
+    Attributes:
+        late: Times that an earlier press stopped the loop once more after its reset: what was lost
+            of it had been repeated. The next press is made when the loop runs again.
     """
 
     def __init__(self, loop: Loop, seed: int) -> None:
         self._loop = loop
         self._random = random.Random(seed)
+        self._began = 0.0
+        self.late = 0
         self._buttons = [(kind, loop.node.create_publisher(Bool, 'estop', qos))
                          for kind, qos in QOS.items() for _ in range(2)]
         self._reset = {name: loop.node.create_client(Trigger, f'{name}/reset') for name in ENDS}
@@ -115,6 +121,11 @@ class Presser:
             raise RuntimeError('the ends do not subscribe to the e-stop')
         for _, button in self._buttons:
             self._introduce(button)
+
+    def history(self) -> dict[str, list[tuple[float, str, str]]]:
+        """Return the newest modes of the ends: time from the last press on [s], mode, reason."""
+        return {name: [(round(when - self._began, 4), mode, reason)
+                       for when, mode, reason in self._loop.modes[name][-6:]] for name in ENDS}
 
     def _introduce(self, button: Any) -> None:
         """Press until both ends know the publisher: it knows them before they know it.
@@ -154,13 +165,19 @@ class Presser:
         if once:
             made.after, made.beside, made.length = 'its end', 'nothing', 0.0
         time.sleep(0.1 * draw.random())
+        while not self._loop.running():         # an earlier press came late, repaired: it counts
+            self.late += 1
+            error = self._start_again(button)
+            if error:
+                raise RuntimeError(error)
+            time.sleep(0.1 * draw.random())
         seen = {name: len(self._loop.modes[name]) for name in ENDS}
         end = self._begin(made.beside)
-        began = time.monotonic()
+        self._began = began = time.monotonic()
         if once:
             done = subprocess.run([sys.executable, '-c', ONCE], cwd=ROOT, check=True,
                                   timeout=TIME_OUT, stdout=subprocess.PIPE, text=True)
-            began = float(done.stdout)
+            self._began = began = float(done.stdout)
         else:
             self._publish(made, button, other)
         time.sleep(draw.choice((0.0, 0.05, 0.3)) * draw.random())
