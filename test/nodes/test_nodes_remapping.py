@@ -137,9 +137,12 @@ def test_a_loop_runs_whatever_its_names_are(processes, outside, tmp_path):
     done = operate(processes, 'reset', *there)
     assert done.poll() == 0, done.output
     outside.running()
-    status = operate(processes, 'status', '--once')
-    for name in NAMES.values():
-        assert f'{SPACE}/{name}' in status.output
+    for _ in range(20):         # it shows what comes in three seconds
+        status = operate(processes, 'status', '--once')
+        if all(f'{SPACE}/{name}' in status.output for name in NAMES.values()):
+            break
+    else:
+        raise AssertionError(status.output)
 
     for name in ('plant_node', 'controller_node', 'trajectory_node', 'recorder_node'):
         assert nodes[name].interrupt() == 0, nodes[name].output
