@@ -28,8 +28,8 @@ SHORT = ('mode', 'rate [Hz]', 'period p99 [ms]', 'round trip p99 [ms]',
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument('--once', action='store_true',
-                        help='print what is received in three seconds and end; exit code 1 where '
-                             'a node is in error or there is none')
+                        help='print what is received and end once three seconds bring no other '
+                             'node; exit code 1 where a node is in error or there is none')
     add_remapping(parser)
     parser.add_argument('--all', action='store_true', help='every value, not the chief ones')
 
@@ -37,17 +37,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Show until interrupted, or once."""
     received: dict[str, dict[str, Any]] = {}
-    first: list[float] = []
+    newest = 0.0        # when a node appeared last
     terminal = sys.stdout.isatty()
     with operator('status', remappings=arguments.remap) as process:
         def read() -> None:
+            nonlocal newest
             assert process.stdout is not None
             for line in process.stdout:
                 status = json.loads(line)
-                if status['node'] not in received and len(received) >= MAX_NODES:
-                    continue
-                received[status['node']] = {**status, 'at': time.monotonic()}
-                first.append(received[status['node']]['at'])
+                now = time.monotonic()
+                if status['node'] not in received:
+                    if len(received) >= MAX_NODES:
+                        continue
+                    newest = now
+                received[status['node']] = {**status, 'at': now}
 
         reader = threading.Thread(target=read, daemon=True)
         reader.start()
@@ -56,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         while process.poll() is None:
             time.sleep(0.1)
             now = time.monotonic()
-            if arguments.once and (now - first[0] > GONE if first else now > until):
+            if arguments.once and (now - newest > GONE if newest else now > until):
                 break
             if not arguments.once and now - shown >= 1.0:
                 shown = now
