@@ -4,6 +4,9 @@
     python benchmarks/runaway.py            print the tables
     python benchmarks/runaway.py --write    write them into docs/safety.md
     python benchmarks/runaway.py --only load --write    the last one alone: five minutes, with ROS
+    python benchmarks/runaway.py --only alarms --scenarios stiction,backlash --write
+                                            rows of these scenarios, in place of theirs or below
+                                            those of the other scenarios
 
 False alarms: every law in every scenario of the arena, and every shipped configuration, simulated;
 the guard judges each sample as the controller's end does, with the b of the example where the
@@ -155,11 +158,12 @@ def reversed_run(c: Configuration, begin: float) -> tuple[str, float, float, flo
     return 'not stopped', t - since, abs(x[0] - where), abs(x[0] - x_d[0])
 
 
-def arena_rows(laws: Sequence[str] | None, duration: float, seeds: int) -> dict[str, Row]:
+def arena_rows(laws: Sequence[str] | None, scenarios: Sequence[str] | None, duration: float,
+               seeds: int) -> dict[str, Row]:
     """Return scenario → row."""
     found: dict[str, Row] = {}
     b = Configuration.from_flat(base_configuration()).plant.b
-    for (law, scenario, _), flat in Plan.of(laws, duration=duration,
+    for (law, scenario, _), flat in Plan.of(laws, scenarios, duration=duration,
                                             seeds=seeds).configurations().items():
         row = found.setdefault(scenario, Row())
         try:
@@ -192,13 +196,26 @@ def configuration_rows(duration: float) -> dict[str, Row]:
     return found
 
 
-def alarm_lines(laws: Sequence[str] | None, duration: float, seeds: int) -> list[str]:
-    """Return the table of false alarms."""
-    rows = {**arena_rows(laws, duration, seeds), **configuration_rows(duration)}
+def alarm_lines(laws: Sequence[str] | None, scenarios: Sequence[str] | None, duration: float,
+                seeds: int) -> list[str]:
+    """Return the table of false alarms; of some scenarios only these rows are measured."""
+    rows = arena_rows(laws, scenarios, duration, seeds)
+    if scenarios is None:
+        rows |= configuration_rows(duration)
     return ['| scenario, or configuration | runs | of these lost | alarms | alarms, a_i halved '
             '| alarms, a_i × 1.5 | longest against the command [s] | law |', f'|{"---|" * 8}',
             *(f'| {name} | {row.runs} | {row.lost} | ' + ' | '.join(map(str, row.alarms))
               + f' | {row.longest[0]:.3f} | {row.law or "-"} |' for name, row in rows.items())]
+
+
+def merged(table: Sequence[str], rows: Sequence[str]) -> list[str]:
+    """Return a table with rows in place of those of the same scenario, or after the scenarios."""
+    found = {line.split(' | ')[0]: line for line in table}
+    own = {line.split(' | ')[0]: line for line in rows}
+    configurations = {name for name in found if name.startswith('| configuration ')}
+    before = [own.get(name, line) for name, line in found.items() if name not in configurations]
+    return [*before, *(line for name, line in own.items() if name not in found),
+            *(found[name] for name in found if name in configurations)]
 
 
 def sign_lines(laws: Sequence[str] | None) -> list[str]:
@@ -288,19 +305,25 @@ def main() -> int:
     parser.add_argument('--only', choices=('alarms', 'sign', 'load'),
                         help='one of the tables')
     parser.add_argument('--laws', help='laws of the arena, separated by commas (default: all)')
+    parser.add_argument('--scenarios', help='scenarios of the arena, separated by commas: only '
+                        'their rows of the false alarms (default: all)')
     parser.add_argument('--duration', type=float, default=60.0, help='of each run [s]')
     parser.add_argument('--seeds', type=int, default=5, help='of the scenarios with noise')
     arguments = parser.parse_args()
     laws = arguments.laws.split(',') if arguments.laws else None
 
+    scenarios = arguments.scenarios.split(',') if arguments.scenarios else None
+    text = PAGE.read_text(encoding='utf-8')
     tables = {}
     if arguments.only in (None, 'alarms'):
-        tables[ALARMS] = alarm_lines(laws, arguments.duration, arguments.seeds)
+        tables[ALARMS] = alarm_lines(laws, scenarios, arguments.duration, arguments.seeds)
+        if scenarios:
+            old = text.partition(ALARMS)[2].partition(END)[0].strip().splitlines()
+            tables[ALARMS] = merged(old, tables[ALARMS])
     if arguments.only in (None, 'sign'):
         tables[SIGN] = sign_lines(laws)
     if arguments.only in (None, 'load'):
         tables[LOAD] = load_lines(arguments.duration)
-    text = PAGE.read_text(encoding='utf-8')
     for marker, lines in tables.items():
         print('\n'.join(lines), flush=True)
         head, _, tail = text.partition(marker)

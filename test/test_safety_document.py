@@ -7,6 +7,8 @@ import re
 from dz_ros.core.safety.modes import LIFECYCLE, MODES
 from dz_ros.core.safety.settings import SafetySettings
 from dz_ros.core.schema import fields
+from dz_ros.files.configurations import shipped_configurations
+from dz_ros.studies.scenarios import scenarios
 
 TEXT = (Path(__file__).parents[1] / 'docs' / 'safety.md').read_text(encoding='utf-8')
 
@@ -34,3 +36,16 @@ def test_every_parameter_is_listed_with_default_and_unit():
     listed = dict(re.findall(r'^\| `(\w+)` \| (\S+ \| [^|]*?) *\|', TEXT, re.MULTILINE))
     assert listed == {item.name: f'{item.default} | {item.spec.unit}'
                       for item in fields(SafetySettings)}
+
+
+def test_no_false_alarm_in_any_scenario_or_shipped_configuration():
+    block = re.search('<!-- false alarms: .*? -->\n(.*?)<!-- end of runaway -->', TEXT,
+                      re.DOTALL).group(1)
+    rows = {cells[0]: cells for line in block.strip().splitlines()[2:]
+            if (cells := [cell.strip() for cell in line.strip('|').split('|')])}
+    assert set(rows) == {*scenarios(), *(f'configuration {name}'
+                                         for name in shipped_configurations())}
+    for name, (_, runs, _, *alarms, longest, _) in rows.items():
+        assert int(runs) > 0, name
+        assert alarms == ['0', '0', '0'], name
+        assert float(longest) < SafetySettings().runaway_time, name

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from dz_ros.cli.options import add_configuration, configuration_overrides, read_
 from dz_ros.cli.output import print_json
 from dz_ros.cli.progress import stage
 from dz_ros.core.axes_keys import axis_key
+from dz_ros.core.design.finding import INFO
 from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import flat_parameters, write_parameters
 from dz_ros.runs.metrics import jsonable
@@ -54,7 +56,9 @@ def run(arguments: argparse.Namespace) -> int:
             found[name] = tune(item, arguments.effort, arguments.disturbance)
     if arguments.json:
         each = {name: jsonable({'proposed': dict(changes(item)), 'why': item.reasons,
-                                'simulated': item.rows}) for name, item in found.items()}
+                                'simulated': item.rows,
+                                'findings': [asdict(finding) for finding in item.findings]})
+                for name, item in found.items()}
         print_json(each.get('', {'axes': each}))
     else:
         print('\n\n'.join(format_proposal(item) if not name else
@@ -110,6 +114,10 @@ def format_proposal(found: Proposal) -> str:
         numbers = '   '.join(f'{title} {row[key]:.4g}' for key, title in NUMBERS
                              if row[key] is not None)
         lines.append(f'  {name:16} {numbers}')
+    if found.findings:
+        lines += ['', 'by the rules of dz check']
+        lines += [f'  {"" if item.level == INFO else item.level + " "}{item.rule}: {item.words}'
+                  + (f'; {item.change}' if item.change else '') for item in found.findings]
     return '\n'.join(lines)
 
 

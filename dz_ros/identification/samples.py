@@ -228,12 +228,18 @@ def _measured(run: RunData, c: Configuration) -> int:
 
 
 def motion_speed(samples: Samples) -> float:
-    """Return the speed that counts as motion: a share of the largest, above the noise."""
+    """Return the speed that counts as motion: a share of the largest, above its noise.
+
+    The noise of an observed speed is not counted: only its measured position is identified from.
+    """
     if samples.x.shape[1] == 1:
         return 0.0
     speed = samples.x[:, 1][np.isfinite(samples.x[:, 1])]
     if len(speed) < 4:
         return 0.0
+    share = MOVING * float(np.quantile(np.abs(speed), 0.99))
+    if samples.measured == 1:
+        return share
     noise = float(np.diff(speed, n=3).std()) / np.sqrt(20.0)
     filtered = noise / np.sqrt(max(1.0, SMOOTH / samples.period))
-    return float(max(MOVING * float(np.quantile(np.abs(speed), 0.99)), NOISE * filtered))
+    return float(max(share, NOISE * filtered))

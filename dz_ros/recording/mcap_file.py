@@ -119,8 +119,10 @@ class McapFile:
                 self._allowance = Allowance(size)
                 file.seek(0)
                 if file.read(len(MAGIC)) != MAGIC:
-                    raise RecordingError(f'{self.path} is not an MCAP file'
-                                         f'{"" if size else ": it is empty"}')
+                    hint = '' if size else ': it is empty'
+                    if self.path.suffix.lower() == '.csv':
+                        hint += '; a table becomes a run by dz bag import'
+                    raise RecordingError(f'{self.path} is not an MCAP file{hint}')
                 yield from self._scan(file, size, closed)
                 if not closed and not self.cut:
                     self.cut = 'cut off behind its last message'

@@ -2,7 +2,8 @@
 """Gains proposed from bounds, rate, delay and effort, by the design rules (ours).
 
     d   = max(configured delay, 1): a loop over topics takes up to one sample
-    k*  = ρ/m_min + Δ/(b_min m_min) + ρ_I                     dead-zone, disturbance, integral
+    k*  = (ρ + m_max q/2)/m_min + Δ/(b_min m_min) + ρ_I       dead-zone, command in steps of q,
+                                                              disturbance, integral
     β   = b_max m_max,   K0 = f μ_d/(β T)                      the steepest layer with margin f
     f   = the configured one where the law has one, at most 0.8 of where its integral chatters
     k_d = the configured one, at most K0/3                    so that the rest of K is k*/ε
@@ -32,10 +33,16 @@ from typing import Any
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.along_reference import disturbance_along_reference
 from dz_ros.core.design.boundary_layer import chatter_limit
+from dz_ros.core.design.command_steps import COMMAND_STEPS
+from dz_ros.core.design.finding import Finding, INFO
 from dz_ros.core.design.linear_loop import largest_gain
 from dz_ros.core.design.observation import measured_steps, sensor_noise, state_noise
-from dz_ros.core.design.robust_gain import dead_zone_bound, least_robust_gain
-from dz_ros.core.design.rules import derives_epsilon
+from dz_ros.core.design.robust_gain import (
+    dead_zone_bound,
+    least_robust_gain,
+    rounding_bound,
+)
+from dz_ros.core.design.rules import check, derives_epsilon
 from dz_ros.core.design.stability import lambda_limit
 from dz_ros.core.laws.base import Design
 from dz_ros.core.laws.robust_eso_gains import (
@@ -78,12 +85,15 @@ class Proposal:
         reasons: Key → why it has its value; only keys that changed or were looked at.
         rows: Name → numbers in simulation: before and after, at the configured delay and one
             sample more.
+        findings: Warnings and errors of the design rules about what is proposed, and the limit
+            cycle of its command's steps where the device has any.
     """
 
     before: Configuration
     after: Configuration
     reasons: dict[str, str]
     rows: dict[str, Row]
+    findings: tuple[Finding, ...] = ()
 
 
 def tune(c: Configuration, effort: float = 0.0, disturbance: float | None = None) -> Proposal:
@@ -125,13 +135,23 @@ def _proposal(c: Configuration, tuned: Configuration, reasons: dict[str, str]) -
         delay = {'loop.delay': c.loop.delay + extra}
         for name, item in (('before', c), ('after', tuned)):
             rows[f'{name}, delay {c.loop.delay + extra}'] = run_row(item.replace(**delay))
-    return Proposal(c, tuned, reasons, rows)
+    findings = tuple(item for item in check(tuned, complaints=True)
+                     if item.level != INFO or item.rule == COMMAND_STEPS)
+    return Proposal(c, tuned, reasons, rows, findings)
+
+
+def _covered(c: Configuration, design: Design) -> tuple[float, str]:
+    """Return ρ with what rounding of v adds [actuator unit], and its share of k* as text."""
+    rounding = rounding_bound(c, getattr(c.make_driver(), 'command_resolution', 0.0))
+    share = rounding / c.controller_settings.m_bounds[0]
+    return (dead_zone_bound(c, design) + rounding,
+            f', of which {share:.4g} for v in steps' if share else '')
 
 
 def _from_rules(c: Configuration, design: Design, delta: float) -> dict[str, tuple[Any, str]]:
     """Return key → value and reason of everything but λ (ε is made for λ = the configured)."""
     known, gains = c.controller_settings, c.law.gains
-    bound = dead_zone_bound(c, design)
+    bound, steps = _covered(c, design)
     low, high = (b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
     dead = least_robust_gain(bound, known.m_bounds[0])
     share = 0.0 if hasattr(gains, 'rho_0') else design.reserve      # ρ_0 is made to fit k*
@@ -148,7 +168,7 @@ def _from_rules(c: Configuration, design: Design, delta: float) -> dict[str, tup
     theta = [tuple(sorted((a * phi[0], a * phi[1]))) for a in c.plant.a]
     rate = ADAPTATION * k_d / (c.loop.period * _power(c))
     return {f'controller.{key}': item for key, item in {
-        'k_star': (k_star, f'rho/m_min = {dead:.4g} and {delta:.4g} of disturbance'
+        'k_star': (k_star, f'rho/m_min = {dead:.4g}{steps} and {delta:.4g} of disturbance'
                    + (f', {share:.4g} of the integral' if share else '')),
         'k_d': (k_d, f'at most a third of K0 = {steepest:.4g}'),
         'beta': (high, 'b_max m_max'),
@@ -178,7 +198,7 @@ def _with_observer(c: Configuration, design: Design, delta: float,
         ConfigurationError: No start is slow enough for the effort.
     """
     known, driver = c.controller_settings, c.make_driver()
-    bound, m_min, b_min = dead_zone_bound(c, design), known.m_bounds[0], known.b_bounds[0]
+    (bound, steps), m_min, b_min = _covered(c, design), known.m_bounds[0], known.b_bounds[0]
     k_star = least_robust_gain(bound, m_min, b_min, delta) / (1.0 - SLOT)
     low, high = (b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
     middle, period = 0.5 * (1.0 / low + 1.0 / high), c.loop.period
@@ -197,7 +217,7 @@ def _with_observer(c: Configuration, design: Design, delta: float,
         gains |= {'v_max': limit}
     by_rule = 'by rule from K0, k* and the bounds'
     reasons = dict.fromkeys(gains, by_rule) | {
-        'k_star': f'rho/m_min, {delta:.4g} of disturbance and rho_0 = {SLOT:g} k*',
+        'k_star': f'rho/m_min{steps}, {delta:.4g} of disturbance and rho_0 = {SLOT:g} k*',
         'layer_gain': f'{QUIET_SHARE if quiet else ESO_SHARE:g} of the chatter limit at delay '
                       f'{delay}' + (f', quiet: noise would put {noise:.3g} into v' if quiet
                                     else ''),

@@ -80,6 +80,7 @@ def test_tune_writes_what_it_proposes_for_each_axis(config, capsys, tmp_path, mo
             value = 3.0 * before.law.gains.lambda_
             self.before, self.after = before, before.replace(**{'controller.lambda': value})
             self.reasons, self.rows = {'controller.lambda': 'three times'}, {}
+            self.findings = ()
 
     monkeypatch.setattr('dz_ros.cli.tune.tune', lambda c, *_: Proposal(c))
     out = tmp_path / 'tuned.yaml'

@@ -139,6 +139,27 @@ def test_a_velocity_that_is_not_measured_contradicts_nothing(loop):
         assert item.value == pytest.approx(truth, rel=0.1)
 
 
+def rounded(run, step):
+    """Return a run whose position is in steps and whose velocity is observed from it."""
+    x = np.round(run.channels['state'].values[:, X] / step) * step
+    return changed(changed(run, X, lambda _: x), V, lambda _: np.gradient(x, 0.005))
+
+
+def test_an_observed_velocity_does_not_decide_what_counts_as_motion(loop):
+    c, run = loop
+    c = c.replace(**{'driver.measured': 1})
+    for item, truth in zip(found(c, rounded(run, 0.05)).bounds.values(), TRUTH, strict=True):
+        assert item.low <= truth <= item.high
+
+
+def test_where_bounds_cannot_be_had_a_coarse_position_is_named(loop):
+    c, run = loop
+    c = c.replace(**{'driver.measured': 1})
+    with pytest.raises(RecordingError, match=r'; x0 \[rad\] is rounded to steps of 0\.1 and moves '
+                                             r'over 5\.?\d* only: record it with more digits$'):
+        found(c, rounded(run, 0.1))
+
+
 def test_a_driver_s_own_samples_are_checked_as_well(loop):
     c, run = loop
     samples = from_run(run, c)

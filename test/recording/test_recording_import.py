@@ -285,6 +285,37 @@ def test_joint_states_of_a_bag(tmp_path, storage):
             read_bag(open_source(tmp_path / 'bag'), [column])
 
 
+@pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
+def test_topics_without_a_header_have_the_times_of_the_log(tmp_path, storage):
+    rosbags = pytest.importorskip('rosbags.rosbag2', reason='rosbags is not installed')
+    typesys = pytest.importorskip('rosbags.typesys')
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    kinds = store.types
+    layout = kinds['std_msgs/msg/MultiArrayLayout'](dim=[], data_offset=0)
+    made = {'/state': lambda k: kinds['std_msgs/msg/Float64MultiArray'](
+                layout=layout, data=np.array([0.5 * k, 7.0])),
+            '/u': lambda k: kinds['std_msgs/msg/Int16'](data=-k),
+            '/note': lambda k: kinds['std_msgs/msg/String'](data='text')}
+    with rosbags.Writer(tmp_path / 'bag', version=9, storage_plugin=getattr(
+            rosbags.StoragePlugin, storage)) as writer:
+        topics = {name: writer.add_connection(name, make(0).__msgtype__, typestore=store)
+                  for name, make in made.items()}
+        for k in range(40):
+            for name, make in made.items():
+                message = make(k)
+                writer.write(topics[name], 10 ** 18 + k * 5_000_000,
+                             store.serialize_cdr(message, message.__msgtype__))
+    found = read_bag(open_source(tmp_path / 'bag'), ['/state/data[0]', '/u/data'])
+    assert found.chosen['/u/data'].times == pytest.approx(1e9 + np.arange(40) * PERIOD)
+    sources = {'x0': parse_source('/state/data[0]*mm', None),
+               'v': parse_source('/u/data*0.1', None)}
+    run = import_run(found.chosen, sources, axis(), False, 0).run
+    assert run.channels['state']['x0'] == pytest.approx(5e-4 * np.arange(40))
+    assert run.channels['command']['v'] == pytest.approx(-0.1 * np.arange(40))
+    with pytest.raises(RecordingError, match='no field /note/data'):
+        read_bag(open_source(tmp_path / 'bag'), ['/note/data'])
+
+
 def test_messages_that_are_not_what_their_definition_reports():
     kind = MessageType('a/msg/B', 'float64[<=3] x\nuint8 CONSTANT=3\na/C c # of it\n===\n'
                        'MSG: a/C\nint32[2] y\nbool z')

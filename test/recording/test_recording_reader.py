@@ -261,11 +261,13 @@ def test_many_layouts_are_left_out(tmp_path):
 def test_what_is_no_run(tmp_path):
     (tmp_path / 'empty').mkdir()
     (tmp_path / 'notes.txt').write_text('hello')
+    (tmp_path / 'log.csv').write_text('t,x\n0,1\n')
     (tmp_path / 'zero.mcap').write_bytes(b'')
     for path, kind, reason in (
             (tmp_path / 'nowhere', RunNotFoundError, 'no such run'),
             (tmp_path / 'empty', RecordingError, 'neither metadata.yaml nor an .mcap file'),
-            (tmp_path / 'notes.txt', RecordingError, 'not an MCAP file'),
+            (tmp_path / 'notes.txt', RecordingError, 'not an MCAP file$'),
+            (tmp_path / 'log.csv', RecordingError, 'becomes a run by dz bag import'),
             (tmp_path / 'zero.mcap', RecordingError, 'it is empty'),
             (tmp_path / 'notes.txt/run', RecordingError, 'no such run|cannot be read')):
         for read in (read_run, run_info):

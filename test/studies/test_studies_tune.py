@@ -8,6 +8,7 @@ import pytest
 from dz_ros.cli.main import main
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.boundary_layer import chatter_limit
+from dz_ros.core.design.command_steps import limit_cycle_bound
 from dz_ros.core.design.finding import ERROR
 from dz_ros.core.design.rules import check
 from dz_ros.core.design.stability import lost_from_start
@@ -188,6 +189,26 @@ def test_noise_asks_for_the_quiet_set_and_effort_for_a_slow_start():
     assert found.after.law.gains.start_rate < found.after.law.gains.lambda_ / 5.0
     with pytest.raises(ConfigurationError, match='no start keeps within it'):
         tuned('robust_eso', effort=0.5)
+
+
+@pytest.mark.parametrize('law', ['wang2004', 'robust', 'robust_eso'])
+def test_k_star_covers_a_command_in_steps_and_the_limit_cycle_is_stated(law):
+    step = 0.4
+    settings = ('controller.override_checks=true', f'controller.law={law}', 'loop.duration=6.0')
+    smooth, rough = (tuned('robust_eso', *settings, f'plant.command_resolution={q}')
+                     for q in (0.0, step))
+    m_min, m_max = smooth.after.controller_settings.m_bounds
+    more = rough.after.law.gains.k_star - smooth.after.law.gains.k_star
+    share = 0.5 * step * m_max / m_min
+    assert more == pytest.approx(share / 0.7 if law == 'robust_eso' else share)
+    assert f'of which {share:.4g} for v in steps' in rough.reasons['controller.k_star']
+    assert 'steps' not in smooth.reasons['controller.k_star']
+    stated = {item.rule: item for item in rough.findings}['command steps']
+    assert stated.numbers['s'] == limit_cycle_bound(rough.after, step, 2)[-1]
+    assert 'command steps' not in {item.rule for item in smooth.findings}
+    # what the steps add in simulation stays within it
+    assert rough.rows['after, delay 0']['error_max'] <= (
+        smooth.rows['after, delay 0']['error_max'] + stated.numbers['x0'])
 
 
 def test_an_encoder_sets_the_gain():

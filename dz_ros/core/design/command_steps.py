@@ -25,6 +25,8 @@ from dz_ros.core.design.linear_loop import LayerModel, LinearObserver, loop_matr
 from dz_ros.core.design.observation import observer_of
 from dz_ros.core.tracking import error_weights
 
+COMMAND_STEPS = 'command steps'
+"""Name of the rule."""
 BETAS = 5
 """Values of β tried."""
 CUT, MAX_SAMPLES = 1e-6, 200_000
@@ -93,7 +95,7 @@ def check_command_steps(c: Configuration, step: float, measured: int) -> Iterato
     epsilon = 0.0 if c.law.design is None else c.law.design.epsilon
     numbers = {'step': step, 's': s, **{f'x{i}': item for i, item in enumerate(states)}}
     if not math.isfinite(s):
-        yield Finding(INFO, 'command steps', f'v is rounded to steps of {step:g}; the loop is not '
+        yield Finding(INFO, COMMAND_STEPS, f'v is rounded to steps of {step:g}; the loop is not '
                       'calm for all b m within the bounds, so nothing is known of its limit '
                       'cycle', numbers)
         return
@@ -101,8 +103,8 @@ def check_command_steps(c: Configuration, step: float, measured: int) -> Iterato
     words = (f'v is rounded to steps of {step:g}: between two of them the loop moves in a limit '
              f'cycle of at most |x̃1| <= {states[0]:.3g}{unit}, |s| <= {s:.3g}')
     if epsilon > 0.0 and s > epsilon:
-        yield Finding(WARNING, 'command steps', f'{words}, beyond ε = {epsilon:.3g}', numbers,
+        yield Finding(WARNING, COMMAND_STEPS, f'{words}, beyond ε = {epsilon:.3g}', numbers,
                       f'a command in steps of {step * epsilon / s:.2g}, or a wider layer')
     else:
         share = f', {s / epsilon:.2g} of ε' if epsilon > 0.0 else ''
-        yield Finding(INFO, 'command steps', words + share, numbers)
+        yield Finding(INFO, COMMAND_STEPS, words + share, numbers)

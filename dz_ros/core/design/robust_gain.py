@@ -5,7 +5,8 @@
 
 ρ = max{m_max b_r,max, −m_max b_l,min} (4) bounds d(v); with a feed-forward max |d̂ − d| takes its
 place, and nothing where the law compensates the dead-zone itself. ρ_I is the authority of an
-integral. What is left covers a disturbance |·| ≤ Δ = (k* − ρ/m_min − ρ_I) b_min m_min.
+integral. What is left covers a disturbance |·| ≤ Δ = (k* − ρ/m_min − ρ_I) b_min m_min. A device
+that rounds v to steps of q adds m_max q/2 to ρ.
 
 `dz check`, the controller's log at its start and the report state `RobustGain.words`, so they
 cannot disagree.
@@ -46,6 +47,18 @@ def dead_zone_bound(c: Configuration, design: Design) -> float:
     if design.guess:
         return known.m_bounds[1] * largest_rest(design.guess, known.b_r_bounds, known.b_l_bounds)
     return rho(known.b_r_bounds[1], known.b_l_bounds[0], known.m_bounds[1])
+
+
+def rounding_bound(c: Configuration, step: float) -> float:
+    """Return what rounding of v adds to ρ, m_max q/2 [actuator unit].
+
+    From |D(v + δ) − m v| ≤ ρ + m_max |δ|, |δ| ≤ q/2.
+
+    Args:
+        c: The bounds of m.
+        step: One step q of the command [actuator unit].
+    """
+    return 0.5 * c.controller_settings.m_bounds[1] * step
 
 
 @dataclass(frozen=True)

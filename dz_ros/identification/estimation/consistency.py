@@ -40,6 +40,8 @@ LOST = 0.04
 """Largest share of samples that may be missing or no numbers."""
 COARSE = 0.03
 """Largest step between neighbouring values, as a share of how far the signal moves."""
+VISIBLE = 0.005
+"""Steps above this share are named where bounds cannot be had."""
 SCALE, OFFSET, REST = 0.02, 0.002, 0.05
 """Largest |α − 1|, |β| as a share of the largest speed, and share of the motion left over."""
 SIGMAS = 4.0
@@ -66,6 +68,15 @@ def check_samples(samples: Samples, c: Configuration) -> None:
     pieces = _pieces(samples)
     for i, (slow, fast) in enumerate(pairwise(names)):
         _check_rate(x[:, i], x[:, i + 1], pieces, samples.period, slow, fast)
+
+
+def rounding_hint(samples: Samples, c: Configuration) -> str:
+    """Return that the last measured signal is rounded visibly, for the end of an error; or ''."""
+    name = _names(samples, c)[-1]
+    values = samples.x[:, samples.measured - 1]
+    step, moved = _rounding(values[np.isfinite(values)])
+    return (f'; {name} is rounded to steps of {step:.3g} and moves over {moved:.3g} only: record '
+            'it with more digits') if step > VISIBLE * moved else ''
 
 
 def check_log(run: RunData, period: float) -> None:
@@ -162,15 +173,20 @@ def _check_steps(name: str, values: Array, i: int, last: bool) -> None:
     if len(levels) < 2:
         raise RecordingError(f'{name} is {levels[0]:.4g} in every sample: it is not measured, or '
                              'nothing moves')
+    step, moved = _rounding(values)
+    if last and step > COARSE * moved:
+        raise RecordingError(f'{name} is rounded to steps of {step:.3g} and moves over '
+                             f'{moved:.3g} only: too coarse; record it with more digits or '
+                             f'move it further{_unmeasured(i)}')
+
+
+def _rounding(values: Array) -> tuple[float, float]:
+    """Return the step a signal of several values is rounded to, 0 = none, and its motion."""
+    levels = np.unique(values)
     moved = float(np.quantile(values, 0.99) - np.quantile(values, 0.01))
-    moved = moved or float(levels[-1] - levels[0])
     # Of a signal with noise no two values are alike; a rounded one has few, evenly spaced.
-    if last and len(levels) < 0.5 * len(values):
-        step = float(np.median(np.diff(levels)))
-        if step > COARSE * moved:
-            raise RecordingError(f'{name} is rounded to steps of {step:.3g} and moves over '
-                                 f'{moved:.3g} only: too coarse; record it with more digits or '
-                                 f'move it further{_unmeasured(i)}')
+    step = float(np.median(np.diff(levels))) if len(levels) < 0.5 * len(values) else 0.0
+    return step, moved or float(levels[-1] - levels[0])
 
 
 def _pieces(samples: Samples) -> list[tuple[int, int]]:

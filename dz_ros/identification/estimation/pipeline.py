@@ -25,6 +25,7 @@ from dz_ros.identification.estimation.consistency import (
     check_command_sign,
     check_log,
     check_samples,
+    rounding_hint,
 )
 from dz_ros.identification.estimation.least_squares import hats, Line, solve, solve_over_time, ZONE
 from dz_ros.identification.estimation.long_simulation import refine_by_simulation
@@ -97,7 +98,14 @@ def identify(samples: Samples, c: Configuration, margin: float) -> Identified:
     Raises:
         RecordingError: They do not show it, or contradict themselves.
     """
-    return _bounded(_best_delay(samples, c, margin), samples, c)
+    check_samples(samples, c)
+    try:
+        return _bounded(_best_delay(samples, c, margin), samples, c)
+    except _WrongSignError:
+        raise
+    except RecordingError as error:
+        coarse = rounding_hint(samples, c)
+        raise RecordingError(f'{error}{coarse}') from None
 
 
 def find_delay(samples: Samples, c: Configuration, margin: float) -> int:
@@ -106,6 +114,7 @@ def find_delay(samples: Samples, c: Configuration, margin: float) -> int:
     Raises:
         RecordingError: The samples do not show it, or contradict themselves.
     """
+    check_samples(samples, c)
     return _best_delay(samples, c, margin).delay
 
 
@@ -115,7 +124,6 @@ def _best_delay(samples: Samples, c: Configuration, margin: float) -> _Found:
     Raises:
         RecordingError: There is too little motion, or the samples contradict themselves.
     """
-    check_samples(samples, c)
     cutter = Cutter(samples, c)
     best: _Found | None = None
     problem = RecordingError('nothing to identify')
