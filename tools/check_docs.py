@@ -7,6 +7,7 @@
 - Every ``mathematics.md §n`` in code and documents is a heading of docs/mathematics.md.
 - The tables of signals in docs/notation.md are what tools/signal_tables.py writes.
 - docs/index.md lists every document in docs/.
+- Every file of tests that a document names is there.
 - No retired word of docs/terms.md is used (tools/retired_words.py).
 - The tables of folders in docs/architecture.md name every folder of the project and of dz_ros, and
   no other.
@@ -37,7 +38,7 @@ def main() -> int:
     files = tracked_files()
     words, waiting = retired_words.faults(ROOT, files)
     faults = [*links(files), *index(files), *citations(files), *folders(files), *sections(files),
-              *signals(files), *words]
+              *signals(files), *tests(files), *words]
     for fault in faults:
         print(f'docs: {fault}', file=sys.stderr)
     if not faults:
@@ -86,6 +87,15 @@ def index(files: list[Path]) -> list[str]:
     names = [path.relative_to('docs').with_suffix('').as_posix() for path in files
              if path.parts[0] == 'docs' and path.suffix == '.md']
     return [f'{INDEX}: lacks {name}' for name in names if name not in listed | {'index'}]
+
+
+def tests(files: list[Path]) -> list[str]:
+    """Return the files of tests that documents name and that are not there."""
+    there = {path.stem for path in files if path.parts[0] == 'test'}
+    return [f'{path}: there is no {name}.py in test/' for path in files if path.suffix == '.md'
+            for name in re.findall(r'`(?:[\w/]*/)?(test_\w+)(?:\.py)?`',
+                                   (ROOT / path).read_text(encoding='utf-8'))
+            if name not in there]
 
 
 def without_code(text: str) -> str:

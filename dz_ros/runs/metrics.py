@@ -54,7 +54,7 @@ def quantity(label: str, unit: str, sentence: str) -> Any:
     return field(metadata={'label': label, 'unit': unit, 'sentence': sentence})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Metrics:
     """Numbers of a run; None where there is nothing to compute one from.
 
@@ -109,6 +109,13 @@ class Metrics:
     recovery_time: float | None = quantity(
         'recovered after the pulse', 's', 'time from the disturbance pulse until |x̃| stays below '
         'the tolerance for good')
+
+    def __repr__(self) -> str:
+        """Return one line: the window and the numbers that there are, to four digits."""
+        known = [f'{name} {value:.4g}' for name, _ in self.described()
+                 if (value := getattr(self, name)) is not None]
+        begin, end = self.window
+        return f'<Metrics of {begin:g} to {end:g} s: {", ".join(known)}>'
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything by name, ready for JSON: what is not finite is None."""

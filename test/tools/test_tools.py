@@ -65,6 +65,8 @@ def docs(tmp_path, monkeypatch):
      'Beside `dz_ros/`:\n| `docs/` | x |\n', 'the folder dz_ros/gone/ is not there'),
     ('docs/architecture.md', '[known2000]\n', 'there must be two tables of folders'),
     ('docs/other.md', '', 'docs/index.md: lacks other'),
+    ('docs/more.md', 'by `test/core/test_gone.py`\n', 'there is no test_gone.py in test/'),
+    ('docs/more.md', 'by `test_gone`\n', 'there is no test_gone.py in test/'),
     ('docs/more.md', 'Begin\nANEW.\n', "docs/more.md:2: 'ANEW': see docs/terms.md"),
     ('dz_ros/core/b.py', '# what is\n# once\n# more\n', "b.py:2: 'once\\nmore'"),
     ('dz_ros/core/b.py', 'x = ("begin once"\n     " more")\n', "b.py:1: 'once\\n more'"),
