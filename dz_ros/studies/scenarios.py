@@ -143,7 +143,8 @@ def choose(kind: str, known: Mapping[str, Any], names: Sequence[str] | None) -> 
     for name in names:
         matches = [item for item in known if item == name or item.startswith(f'{name} k=')]
         if not matches:
+            mark = '; ' if any(',' in item for item in known) else ', '     # as they are given
             raise UnknownNameError(kind, name,
-                                   f'known: {", ".join(known)}{suggestion(name, known)}')
+                                   f'known: {mark.join(known)}{suggestion(name, known)}')
         found.update({item: known[item] for item in matches})
     return found

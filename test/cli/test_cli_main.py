@@ -94,7 +94,8 @@ def test_what_argparse_refuses_is_one_line_and_exit_code_two(words, capsys):
     (['run', '--lve'], 'did you mean --live?'), (['simulate', '--reprt'], None),
     (['--nope'], None), (['bag', 'exprt'], 'did you mean export?'),
     (['arena', '--laws', 'robst_eso'], 'did you mean robust_eso?'),
-    (['arena', '--scenarios', 'nominl'], 'did you mean nominal?')])
+    (['arena', '--scenarios', 'nominl'], 'did you mean nominal?'),
+    (['arena', '--scenarios', 'drift,noise'], '; b=2, delay 1; ')])
 def test_a_misspelt_name_gets_the_suggestion_that_fits(words, wanted, capsys):
     assert main(words) == 2
     err = capsys.readouterr().err
