@@ -266,6 +266,11 @@ def _highpass_rms(rows: RunTable, setting: Setting,
     return None if rest is None else rms(rest[place[inside].astype(np.int64)])
 
 
+def window_length(duration: float) -> float:
+    """Return the length of the window of a run that names none [s]: 10 s, or half a short run."""
+    return min(WINDOW, 0.5 * duration)
+
+
 def choose_window(t: Array, window: tuple[float, float] | None = None) -> tuple[float, float]:
     """Return the window of a run: the one given, else its last 10 s or its last half.
 
@@ -276,7 +281,7 @@ def choose_window(t: Array, window: tuple[float, float] | None = None) -> tuple[
     if math.isnan(first):
         first, last = float(np.nanmin(t)), float(np.nanmax(t))
     if window is None:
-        return last - min(WINDOW, 0.5 * (last - first)), last
+        return last - window_length(last - first), last
     begin, end = window
     inside = np.count_nonzero((t >= begin - 1e-9) & (t <= end + 1e-9))
     if not begin < end or inside < 2:
