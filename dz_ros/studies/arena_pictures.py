@@ -102,8 +102,9 @@ def scatter(arena: Arena) -> Picture | None:
         f'Largest tracking error in the last {window_length(arena.plan.duration):g} s against the '
         'total variation of the command, both logarithmic: left and low is good, right is chatter '
         f'or noise passed on. Filled: {RECOMMENDED}. Named, of many: where no other law has less '
-        'of both; small marks: the others. Bars: smallest to largest over seeds or pulses. Dashed: |x̃| of Ω_ε, the same '
-        'for all. Lost runs are left out.', 'One panel a scenario, one mark a law.', figure)
+        'of both; small marks: the others. Bars: smallest to largest over seeds or pulses. '
+        'Dashed: |x̃| of Ω_ε, the same for all. Lost runs are left out.',
+        'One panel a scenario, one mark a law.', figure)
 
 
 def _panel(ax: Any, arena: Arena, scenario: str) -> None:
