@@ -36,6 +36,14 @@ def test_units_are_resolved_for_a_plant(units, expression, expected):
     assert units.resolve(expression) == expected
 
 
+@pytest.mark.parametrize(('words', 'expected'), [
+    ('actuator unit, rad/s', 'N m, rad/s'), ('1, rad/s', '1, rad/s'),
+    ('s, unit of x^(n), s', 's, rad/s², s'), ('actuator unit per unit of x', 'N m/rad'),
+    ('unit of x', 'rad')])
+def test_a_list_of_different_units_has_each(words, expected):
+    assert SERVO.resolve_words(words) == expected
+
+
 @pytest.mark.parametrize('law', sorted(LAWS.all()))
 @pytest.mark.parametrize('plant', sorted(PLANTS.all()))
 def test_every_signal_of_every_law_has_a_unit_and_a_meaning(law, plant):

@@ -42,6 +42,12 @@ def test_every_key_has_type_default_range_and_meaning(made):
         assert all(row[place] for place in (1, 2, 3, 4, 6)), row
 
 
+def test_every_number_has_a_unit():
+    scale = {'process.priority'}    # of the scheduler, whose numbers are ranks
+    assert scale == {key for key, field in every_field().items()
+                     if field.kind in ('float', 'floats', 'int', 'ints') and not field.spec.unit}
+
+
 def test_every_verb_has_its_help(made):
     for path, verb in VERBS.items():
         part = made['verbs'].split(f'\n### dz {" ".join(path)}\n')
