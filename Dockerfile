@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # dz_ros on the official ROS 2 Jazzy image:
 #   docker build -t dz_ros . && docker run --rm --net=host dz_ros dz run --duration 20
 FROM ros:jazzy-ros-base-noble

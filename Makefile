@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 # Everything from an empty clone with Python 3.10 to 3.13 (venv) and make; `make help` lists it.
 PYTHON ?= python3
 VENV ?= .venv

@@ -41,12 +41,18 @@ def shown(value: Any) -> str:
         return f'{type(value).__name__} of too many digits'
 
 
-def suggestion(word: str, known: Iterable[str]) -> str:
-    """Return what an error adds about the known name nearest to a misspelt one; '' if none is."""
+def suggestion(word: str, known: Iterable[str], prefix: str = '') -> str:
+    """Return what an error adds about the known name nearest to a misspelt one; '' if none is.
+
+    Args:
+        word: The misspelt name.
+        known: Names that it may mean.
+        prefix: Written before the name that is suggested.
+    """
     import difflib
 
     near = difflib.get_close_matches(word, list(known), n=1)
-    return f'; did you mean {near[0]}?' if near else ''
+    return f'; did you mean {prefix}{near[0]}?' if near else ''
 
 
 class DzRosError(Exception):

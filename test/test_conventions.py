@@ -26,9 +26,17 @@ def sources():
             if not {'build', '.venv'} & set(path.parts)]
 
 
+PROGRAMS = ('*.js', '*.css', '*.html', '*.c', '*.h', '*.sh')
+
+
 def test_every_source_file_names_its_licence(manifest):
-    line = f'# SPDX-License-Identifier: {manifest.findtext("license")}'
-    files = [*sources(), ROOT / 'setup.py', ROOT / 'docs' / 'conf.py']
+    line = f'SPDX-License-Identifier: {manifest.findtext("license")}'
+    others = [path for folder in ('dz_ros', 'benchmarks', 'tools', 'examples')
+              for pattern in PROGRAMS for path in sorted((ROOT / folder).rglob(pattern))
+              if not {'build', '.venv', 'vendor'} & set(path.parts)]
+    assert {path.suffix for path in others} == {pattern[1:] for pattern in PROGRAMS}
+    files = [*sources(), *others, *(ROOT / name for name in (
+        'setup.py', 'docs/conf.py', 'scripts/dz', '.ci/run', 'Makefile', 'Dockerfile'))]
     bare = [str(path.relative_to(ROOT)) for path in files
             if path.stat().st_size and line not in path.read_text(encoding='utf-8')[:200]]
     assert bare == []

@@ -7,6 +7,7 @@
 - Every ``mathematics.md §n`` in code and documents is a heading of docs/mathematics.md.
 - The tables of signals in docs/notation.md are what tools/signal_tables.py writes.
 - docs/index.md lists every document in docs/.
+- Every file of this project that a document names is there.
 - No retired word of docs/terms.md is used (tools/retired_words.py).
 - The tables of folders in docs/architecture.md name every folder of the project and of dz_ros, and
   no other.
@@ -37,7 +38,7 @@ def main() -> int:
     files = tracked_files()
     words, waiting = retired_words.faults(ROOT, files)
     faults = [*links(files), *index(files), *citations(files), *folders(files), *sections(files),
-              *signals(files), *words]
+              *signals(files), *named(files), *words]
     for fault in faults:
         print(f'docs: {fault}', file=sys.stderr)
     if not faults:
@@ -86,6 +87,26 @@ def index(files: list[Path]) -> list[str]:
     names = [path.relative_to('docs').with_suffix('').as_posix() for path in files
              if path.parts[0] == 'docs' and path.suffix == '.md']
     return [f'{INDEX}: lacks {name}' for name in names if name not in listed | {'index'}]
+
+
+def named(files: list[Path]) -> list[str]:
+    """Return the files of this project that documents name and that are not there."""
+    stems = {path.stem for path in files if path.parts[0] == 'test'}
+    folders = {path.parts[0] for path in files if len(path.parts) > 1} | {
+        path.parts[1] for path in files if path.parts[0] == 'dz_ros' and len(path.parts) > 2}
+    faults = []
+    for path in files:
+        if path.suffix != '.md':
+            continue
+        text = (ROOT / path).read_text(encoding='utf-8')
+        faults += [f'{path}: there is no {name}.py in test/'
+                   for name in re.findall(r'`(test_\w+)(?:\.py)?`', text) if name not in stems]
+        faults += [f'{path}: there is no {name}'
+                   for name in re.findall(r'`((?:\w+/)+\w+\.(?:py|md|yaml|c|h|js))`', text)
+                   if name.partition('/')[0] in folders
+                   and not any((ROOT / folder / name).exists() for folder in ('', 'dz_ros'))
+                   and not (ROOT / path.parent / name).exists()]
+    return faults
 
 
 def without_code(text: str) -> str:

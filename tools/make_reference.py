@@ -75,13 +75,13 @@ def keys() -> Iterator[str]:
 
 def _group(prefix: str, group: Any) -> Iterator[str]:
     """Yield the table of a group of parameters."""
-    rows = [(f'`{prefix}.{item.name}`', item.kind, _default(item.default), item.spec.unit or '–',
-             item.spec.range_text() or 'any', 'yes' if item.spec.structural else '',
-             item.spec.description) for item in schema.fields(group)]
+    rows = [(f'`{prefix}.{item.name}`', item.spec.description, _default(item.default),
+             item.spec.unit or '–', item.spec.range_text() or 'any', item.kind,
+             'yes' if item.spec.structural else '') for item in schema.fields(group)]
     if not rows:
         yield 'No keys of its own.'
         return
-    yield from _table(('key', 'type', 'default', 'unit', 'allowed', 'fixed', 'meaning'), rows)
+    yield from _table(('key', 'meaning', 'default', 'unit', 'allowed', 'type', 'fixed'), rows)
 
 
 def _default(value: Any) -> str:

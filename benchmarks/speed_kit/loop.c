@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 /* The paper's example as one would write it by hand in C: plant (19) behind the dead-zone (1), law
    (8)-(17), four RK4 steps a sample, everything recorded. Same order of operations, so the same
    bits. cc -O2 -ffp-contract=off -shared -fPIC loop.c -lm */

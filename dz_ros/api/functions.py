@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from numbers import Real
 import os
 from pathlib import Path
 import tempfile
@@ -39,8 +40,12 @@ def load(source: Source = None, overrides: Mapping[str, Any] | None = None,
         **keys: The same, as in ``load('servo', **{'controller.lambda': 4})``.
 
     Raises:
-        ConfigurationError: No such file, unknown key, value not allowed.
+        ConfigurationError: No such file, unknown key, value not allowed, or `source` is none of
+            these.
     """
+    if source is not None and not isinstance(source, (str, os.PathLike, Mapping, Configuration)):
+        raise ConfigurationError('source', source, 'must be a name, a file, a mapping of keys or '
+                                 'a configuration')
     if isinstance(source, Configuration) and source.axes:   # a key of all axes changes all
         values = {key: _value(key, value) for key, value in {**(overrides or {}), **keys}.items()}
         allow_named(values, True)
@@ -130,9 +135,13 @@ def sweep(source: Source, over: Mapping[str, Sequence[Any]], *, samples: int = 0
 
     axes = []
     for key, values in over.items():
+        if isinstance(values, str) or not isinstance(values, (Sequence, np.ndarray)):
+            raise ConfigurationError(key, values, 'must be a list of values')
         listed = tuple(values.tolist() if isinstance(values, np.ndarray) else values)
-        if samples and len(listed) != 2:
-            raise ConfigurationError('over', key, 'must be the two ends of a range with samples')
+        if not listed:
+            raise ConfigurationError(key, listed, 'must be at least one value')
+        if samples and (len(listed) != 2 or not all(isinstance(item, Real) for item in listed)):
+            raise ConfigurationError(key, listed, 'must be the two ends of a range with samples')
         axes.append(Axis(key, float(listed[0]), float(listed[1]), 2) if samples
                     else Axis(key, values=listed))
     configuration = load(source)
@@ -153,8 +162,11 @@ def compare(*runs: Run, names: Sequence[str] = ()) -> Comparison:
         names: Their names in table and figures; empty = file names, or 1, 2, ….
 
     Raises:
-        ConfigurationError: Fewer than two runs, or not a name for each.
+        ConfigurationError: Fewer than two runs, something else, or not a name for each.
     """
+    for run in runs:
+        if not isinstance(run, Run):
+            raise ConfigurationError('run', run, 'must be a run, as simulate and read return it')
     given = [*names] or [run.name or f'run {place}' for place, run in enumerate(runs, 1)]
     if len(set(given)) != len(runs):
         raise ConfigurationError('names', given, f'must be {len(runs)} different names')

@@ -35,8 +35,12 @@ def from_control(system: Any, *, b: float | None = None, state_units: Sequence[s
         seed: Of the random states at which the form is checked.
 
     Raises:
-        ConfigurationError: Not one input, not in chain form, or its gain is not a constant > 0.
+        ConfigurationError: No such system, not one input, not in chain form, or its gain is not a
+            constant > 0.
     """
+    if not all(hasattr(system, name) for name in ('dynamics', 'nstates', 'ninputs', 'name')):
+        raise ConfigurationError('system', system, 'must be a state-space system of '
+                                 'python-control')
     order, inputs = int(system.nstates), int(system.ninputs)
     name = str(system.name)
     if inputs != 1 or order < 1:
@@ -92,8 +96,13 @@ def to_control(plant: Plant | Configuration) -> Any:
         plant: A plant (input w), or a configuration: its plant behind its dead-zone (input v).
 
     Raises:
+        ConfigurationError: Neither a plant nor a configuration of one axis.
         MissingDependencyError: python-control is not installed.
     """
+    if not isinstance(plant, (Plant, Configuration)):
+        raise ConfigurationError('plant', plant, 'must be a plant or a configuration')
+    if isinstance(plant, Configuration):
+        plant.require_one()
     try:
         import control
     except ImportError:

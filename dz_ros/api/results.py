@@ -91,6 +91,14 @@ class Run:
         """Name of a column → its unit, '' where it has none or it is not known."""
         return self.view.setting.column_units(self.columns)
 
+    @property
+    def metric_units(self) -> dict[str, str]:
+        """Name of a metric → its unit, '' where it has none or it is not known."""
+        found = {name: self.view.setting.unit(described['unit'])
+                 for name, described in Metrics.described() if described['unit'] != '%'}
+        return {name: '' if found.get(name, '1') == '1' else found[name]
+                for name, _ in Metrics.described()}
+
     def to_pandas(self) -> Any:
         """Return the columns as a DataFrame with index t [s]; ``attrs['units']`` has their units.
 

@@ -44,11 +44,12 @@ class Parser(argparse.ArgumentParser):
         """End with the exit code of a user's mistake."""
         wrong = re.match(r'unrecognized arguments: (--[^\s=]+)', message)
         if wrong is not None:
-            options = re.findall(r'--[a-z][a-z-]*', self.verb.format_help())
+            # Not its help, whose examples have options of verbs; without the dashes all have.
+            options = re.findall(r'--([a-z][a-z-]*)', self.verb.format_usage())
             from dz_ros.core.renamed import OPTIONS
 
             message += (f'; it is called {OPTIONS[wrong[1]]} now' if wrong[1] in OPTIONS
-                        else suggestion(wrong[1], options))
+                        else suggestion(wrong[1].lstrip('-'), options, '--'))
         chosen = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
         if chosen is not None:
             message += suggestion(chosen[1], re.findall(r"[^', ]+", chosen[2]))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import os
 from pathlib import Path
 import sys
@@ -187,15 +188,42 @@ def add_address(parser: argparse.ArgumentParser) -> None:
                         help='port of the page (default: the first free one from 8420 on)')
 
 
-def check_port(arguments: argparse.Namespace) -> None:
-    """Refuse a port that is none.
+def check_address(arguments: argparse.Namespace, page: bool) -> None:
+    """Refuse --host and --port where no page could be served, before anything is started.
+
+    Args:
+        arguments: They hold both.
+        page: Whether a page is to be served; else only a port that is none is refused.
 
     Raises:
-        ConfigurationError: It is not from 0 to 65535.
+        ConfigurationError: The port is none or taken, or the host not this machine's.
     """
-    if not 0 <= arguments.port <= 65535:
-        raise ConfigurationError('--port', arguments.port, 'must be from 1 to 65535, 0 = the '
-                                 'first free one from 8420 on')
+    host, port = arguments.host.strip('[]'), arguments.port
+    if not 0 <= port <= 65535:
+        raise ConfigurationError('--port', port, 'must be from 1 to 65535, 0 = the first free one '
+                                 'from 8420 on')
+    if not page:
+        return
+    import socket
+
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM) if host else []
+    except (OSError, UnicodeError):
+        found = []
+    usable = False      # one address is enough: a name may have one of IPv6, which may be off
+    for family, kind, protocol, _, address in found:
+        try:
+            with socket.socket(family, kind, protocol) as tried:
+                tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                tried.bind(address)
+            usable = True
+        except OSError as error:
+            if error.errno in (errno.EADDRINUSE, errno.EACCES):
+                raise ConfigurationError('--port', port, f'cannot be served: {error.strerror}'
+                                         ) from None
+    if not usable:
+        raise ConfigurationError('--host', arguments.host, 'must be an address or name of this '
+                                 'machine, 0.0.0.0 for all of them')
 
 
 def configuration_overrides(arguments: argparse.Namespace) -> list[str]:

@@ -15,7 +15,7 @@ from dz_ros.cli.bag.recover import beside
 from dz_ros.cli.options import (
     add_address,
     add_recording,
-    check_port,
+    check_address,
     read_axes,
     read_one,
     window,
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, write the report, print the numbers."""
-    check_port(arguments)
+    check_address(arguments, arguments.serve)
     if arguments.serve:
         return _serve(arguments, read_one(arguments))
     if arguments.over is not None:

@@ -24,7 +24,7 @@ from typing import Any
 from dz_ros.cli.options import (
     add_address,
     add_configuration,
-    check_port,
+    check_address,
     namespace_name,
     read_machine,
     read_recording,
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the loop; return 0, 1 for a latched fault or lost samples, or a failed node's code."""
     if arguments.lockstep:
         arguments.overrides.append('loop.timing=lockstep')
-    check_port(arguments)
+    check_address(arguments, arguments.live)
     configuration = read_machine(arguments)
     if arguments.record is not None:
         refuse_existing(arguments.record)

@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 from dz_ros.core.schema import parameter
 from dz_ros.errors import ConfigurationError
 
-_DRIFT = '[amplitude, angular frequency in rad/s] of a sinusoidal drift of {0}; 0 = constant'
+_DRIFT = '[amplitude, angular frequency] of a sinusoidal drift of {0}; amplitude 0 = constant'
 
 
 _EXTENDED = 2.0
@@ -182,10 +182,14 @@ class DeadZone:
     m_l: float = parameter(1.0, '1', 'slope left of the band', minimum=0.0, open_minimum=True)
     b_r: float = parameter(0.5, 'actuator unit', 'right break point', minimum=0.0)
     b_l: float = parameter(-0.6, 'actuator unit', 'left break point', maximum=0.0)
-    m_r_drift: tuple[float, ...] = parameter((0.0, 0.0), '', _DRIFT.format('m_r'), length=2)
-    m_l_drift: tuple[float, ...] = parameter((0.0, 0.0), '', _DRIFT.format('m_l'), length=2)
-    b_r_drift: tuple[float, ...] = parameter((0.0, 0.0), '', _DRIFT.format('b_r'), length=2)
-    b_l_drift: tuple[float, ...] = parameter((0.0, 0.0), '', _DRIFT.format('b_l'), length=2)
+    m_r_drift: tuple[float, ...] = parameter(
+        (0.0, 0.0), '1, rad/s', _DRIFT.format('m_r'), length=2)
+    m_l_drift: tuple[float, ...] = parameter(
+        (0.0, 0.0), '1, rad/s', _DRIFT.format('m_l'), length=2)
+    b_r_drift: tuple[float, ...] = parameter(
+        (0.0, 0.0), 'actuator unit, rad/s', _DRIFT.format('b_r'), length=2)
+    b_l_drift: tuple[float, ...] = parameter(
+        (0.0, 0.0), 'actuator unit, rad/s', _DRIFT.format('b_l'), length=2)
     schedule_points: tuple[float, ...] = parameter(
         (), 'unit of the scheduling variable', 'points of the tables below, rising; empty = the '
         'dead-zone does not follow loop.schedule_values')

@@ -111,7 +111,7 @@ class PlantSettings:
     command_limit: float = parameter(0.0, 'actuator unit', 'the actuator clips |v| to this; '
                                      '0 = no limit', minimum=0.0, structural=True)
     disturbance_pulse: tuple[float, ...] = parameter(
-        (0.0, 0.0, 0.0), '', '[instant in s, acceleration in unit of x^(n), duration in s] of a '
+        (0.0, 0.0, 0.0), 's, unit of x^(n), s', '[instant, acceleration, duration] of a '
         'disturbance pulse, over the samples that begin within it; acceleration 0 = none',
         length=3)
 

@@ -62,8 +62,11 @@ class Units:
     def resolve_words(self, text: str) -> str:
         """Return the unit of a parameter, as 'actuator unit per unit of s', for this plant.
 
-        Where regressors Y_i have different units there is one for each, with commas between.
+        Where regressors Y_i have different units there is one for each, with commas between, as
+        there is between the units of a list whose numbers have different ones.
         """
+        if ', ' in text:
+            return ', '.join(self.resolve_words(item) for item in text.split(', '))
         expression = text
         for words, meant in _WORDS:
             expression = expression.replace(words, meant)

@@ -24,7 +24,9 @@ def symbol(name: str) -> str:
     head, *rest = name.split('_')
     if head not in GREEK and not re.fullmatch(r'[a-z]\d?', head):
         return ''
-    rest = [part for part in rest if part not in ('bounds', 'drift', 'guess')]
+    if 'drift' in rest:     # its amplitude and frequency, which no document gives letters
+        return ''
+    rest = [part for part in rest if part not in ('bounds', 'guess')]
     if rest == ['star']:
         return f'{head}*'
     return '_'.join((GREEK.get(head, head), *rest))

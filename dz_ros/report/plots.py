@@ -166,7 +166,7 @@ def command(view: View, name: str = 'command', beside: View | None = None) -> Pi
     return Picture(
         name, 'Command', f'Command before the dead-zone: peak |v| {number(m.v_peak_run, unit)} in '
         f'the whole run, {number(m.v_peak, unit)} in the window; total variation '
-        f'{number(m.v_variation)} per second.',
+        f'{number(m.v_variation, view.setting.unit("v/s"))}.',
         'The command v over time, the whole run above and the window at its end below.', figure)
 
 
@@ -199,11 +199,12 @@ def filtered(view: View, name: str = 'filtered_error') -> Picture | None:
             if view.has_layer and place < len(found) - 1:
                 ax.set_yscale('symlog', linthresh=float(np.nanmax(view.epsilon)), linscale=1.0)
             elif view.has_layer:
-                edge = float(np.nanmax(epsilon))
-                fit_y(ax, view.s[shown], include=(edge, -edge))
+                known = epsilon[np.isfinite(epsilon)]       # none where the law was not active
+                fit_y(ax, view.s[shown], include=(known.max(), -known.max()) if len(known) else ())
         name_axis(found, axis_label('$s$', unit))
         legend(found[0][0])
-    inside = '' if share is None else (
+    idle = ' The law was not active in the window.' if view.has_layer else ''
+    inside = idle if share is None else (
         f' In the window {100.0 * share:.4g} % of the samples lie inside the boundary layer, '
         f'max |s|/ε = {number(view.metrics.s_over_epsilon_max)}.')
     scale = ' The scale of the whole run is logarithmic outside the layer.' if view.has_layer \

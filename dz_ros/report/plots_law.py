@@ -61,7 +61,7 @@ def parts(view: View, name: str = 'parts') -> Picture | None:
         name_axis(found, axis_label('parts of $v$', view.setting.unit('v')))
         legend(found[0][0])
     names = ', '.join(item.label for item, _ in drawn)
-    return Picture(name, 'Parts of the command', f'v (black) is the sum of: {names}.',
+    return Picture(name, 'Parts of the command', f'v (thin line) is the sum of: {names}.',
                    f'The command over time and its parts: {names}.', figure)
 
 

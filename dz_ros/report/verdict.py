@@ -72,9 +72,10 @@ def judge(view: View) -> Verdict:
 
 
 def latched_faults(view: View) -> list[tuple[str, float, str]]:
-    """Return (node, loop time [s], reason) of the faults in which nodes of a run ended."""
+    """Return (node, loop time [s], reason) of the faults nodes ended in, the first fault first."""
     last = {event.node: (time, event) for time, event in of_kind(view.run.events, ModeEvent)}
-    return [(node, _stamp(view, time), event.reason) for node, (time, event) in last.items()
+    return [(node, _stamp(view, time), event.reason)
+            for node, (time, event) in sorted(last.items(), key=lambda item: item[1][0])
             if event.mode == 'fault']
 
 
@@ -135,8 +136,8 @@ def _inactive(view: View) -> str:
         return ''
     known = np.where(np.isfinite(status) & (status >= 0.0), status, 0.0).astype(np.int64)
     count = int(np.count_nonzero(known & Status.INACTIVE))
-    return (f'the law was inactive in {count} samples, which count for no share and no s/ε'
-            if count else '')
+    what = '1 sample, which counts' if count == 1 else f'{count} samples, which count'
+    return f'the law was inactive in {what} for no share and no s/ε' if count else ''
 
 
 def _guaranteed(view: View) -> str:

@@ -54,7 +54,7 @@ def quantity(label: str, unit: str, sentence: str) -> Any:
     return field(metadata={'label': label, 'unit': unit, 'sentence': sentence})
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Metrics:
     """Numbers of a run; None where there is nothing to compute one from.
 
@@ -109,6 +109,13 @@ class Metrics:
     recovery_time: float | None = quantity(
         'recovered after the pulse', 's', 'time from the disturbance pulse until |x̃| stays below '
         'the tolerance for good')
+
+    def __repr__(self) -> str:
+        """Return one line: the window and the numbers that there are, to four digits."""
+        known = [f'{name} {value:.4g}' for name, _ in self.described()
+                 if (value := getattr(self, name)) is not None]
+        begin, end = self.window
+        return f'<Metrics of {begin:g} to {end:g} s: {", ".join(known)}>'
 
     def to_dict(self) -> dict[str, Any]:
         """Return everything by name, ready for JSON: what is not finite is None."""
@@ -259,6 +266,11 @@ def _highpass_rms(rows: RunTable, setting: Setting,
     return None if rest is None else rms(rest[place[inside].astype(np.int64)])
 
 
+def window_length(duration: float) -> float:
+    """Return the length of the window of a run that names none [s]: 10 s, or half a short run."""
+    return min(WINDOW, 0.5 * duration)
+
+
 def choose_window(t: Array, window: tuple[float, float] | None = None) -> tuple[float, float]:
     """Return the window of a run: the one given, else its last 10 s or its last half.
 
@@ -269,7 +281,7 @@ def choose_window(t: Array, window: tuple[float, float] | None = None) -> tuple[
     if math.isnan(first):
         first, last = float(np.nanmin(t)), float(np.nanmax(t))
     if window is None:
-        return last - min(WINDOW, 0.5 * (last - first)), last
+        return last - window_length(last - first), last
     begin, end = window
     inside = np.count_nonzero((t >= begin - 1e-9) & (t <= end + 1e-9))
     if not begin < end or inside < 2:

@@ -9,6 +9,7 @@ from pathlib import Path
 from dz_ros.report import page
 from dz_ros.report.report import write_files
 from dz_ros.report.style import Picture
+from dz_ros.runs.metrics import window_length
 from dz_ros.studies.arena import Arena, Cell
 from dz_ros.studies.arena_pictures import best_and_worst, overview, scatter
 from dz_ros.studies.scenarios import yardstick
@@ -124,11 +125,11 @@ def _pad(text: str, width: int, left: bool) -> str:
 
 def conditions(arena: Arena) -> str:
     """Return the conditions of the runs, as text."""
-    bounds = yardstick()
+    bounds, window = yardstick(), window_length(arena.plan.duration)
     return (f'{arena.plan.runs} runs of {arena.plan.duration:g} s of the example at 200 Hz, '
             f'{len(arena.plan.entrants)} laws, {len(arena.plan.scenarios)} scenarios, '
-            f'{arena.plan.seeds} seeds; numbers over the last 10 s, of the true state, but peak '
-            "|v| over the whole run. Ω_ε is that of the paper's law for all laws: "
+            f'{arena.plan.seeds} seeds; numbers over the last {window:g} s, of the true state, '
+            "but peak |v| over the whole run. Ω_ε is that of the paper's law for all laws: "
             f"|x̃| ≤ {bounds[0]:g}, |x̃'| ≤ {bounds[1]:g}. "
             'Means over seeds or pulses; TV is the total variation of v.')
 

@@ -12,7 +12,7 @@ import numpy as np
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.report.style import BLACK, BLUE, GREY, new_figure, PALE, Picture, RED, styled
-from dz_ros.runs.metrics import choose_window
+from dz_ros.runs.metrics import choose_window, window_length
 from dz_ros.studies.arena import Arena
 from dz_ros.studies.code_folder import keep_compiled
 from dz_ros.studies.scenarios import yardstick
@@ -99,11 +99,12 @@ def scatter(arena: Arena) -> Picture | None:
         figure.supylabel(r'max $|\tilde{x}|$  [1]', fontsize=9.0)
     return Picture(
         'error_effort', 'Error against effort',
-        'Largest tracking error in the last 10 s against the total variation of the command, both '
-        f'logarithmic: left and low is good, right is chatter or noise passed on. Filled: '
-        f'{RECOMMENDED}. Named, of many: where no other law has less of both; small marks: the '
-        'others. Bars: smallest to largest over seeds or pulses. Dashed: |x̃| of Ω_ε, the same '
-        'for all. Lost runs are left out.', 'One panel a scenario, one mark a law.', figure)
+        f'Largest tracking error in the last {window_length(arena.plan.duration):g} s against the '
+        'total variation of the command, both logarithmic: left and low is good, right is chatter '
+        f'or noise passed on. Filled: {RECOMMENDED}. Named, of many: where no other law has less '
+        'of both; small marks: the others. Bars: smallest to largest over seeds or pulses. '
+        'Dashed: |x̃| of Ω_ε, the same for all. Lost runs are left out.',
+        'One panel a scenario, one mark a law.', figure)
 
 
 def _panel(ax: Any, arena: Arena, scenario: str) -> None:
@@ -180,7 +181,7 @@ def _reach(middle: float, values: Sequence[float]) -> list[list[float]]:
 
 
 def best_and_worst(arena: Arena) -> Picture | None:
-    """Return v of the entrants with the smallest and the largest error, in the last 10 s.
+    """Return v of the entrants with the smallest and the largest error, in the window.
 
     Of the first scenario; a run that was lost has no picture. None with fewer than two entrants.
     """

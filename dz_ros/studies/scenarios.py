@@ -25,7 +25,7 @@ from typing import Any
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.schema import fields
 from dz_ros.core.tracking import guaranteed_bounds
-from dz_ros.errors import UnknownNameError
+from dz_ros.errors import suggestion, UnknownNameError
 
 DURATION = 60.0
 """Length of every run [s]."""
@@ -143,6 +143,8 @@ def choose(kind: str, known: Mapping[str, Any], names: Sequence[str] | None) -> 
     for name in names:
         matches = [item for item in known if item == name or item.startswith(f'{name} k=')]
         if not matches:
-            raise UnknownNameError(kind, name, 'known: ' + ', '.join(known))
+            mark = '; ' if any(',' in item for item in known) else ', '     # as they are given
+            raise UnknownNameError(kind, name,
+                                   f'known: {mark.join(known)}{suggestion(name, known)}')
         found.update({item: known[item] for item in matches})
     return found

@@ -76,6 +76,8 @@ def test_a_configuration_by_name_file_mapping_and_itself_is_the_same():
     ('wang2004', {'controller.lamda': 2}, 'did you mean controller.lambda'),
     ('wang2004', {'controller.lambda': -1.0}, 'controller.lambda'),
     ('wang2004', {'plant.model': dict}, 'is not a Plant'),
+    (3, {}, 'must be a name, a file, a mapping'),
+    (['wang2004'], {}, 'must be a name, a file, a mapping'),
 ])
 def test_what_cannot_be_loaded_is_named(source, keys, words):
     with pytest.raises(ConfigurationError, match=words):
@@ -107,6 +109,12 @@ def test_a_run_reports_what_it_is():
     assert run.units['t'] == 's'
     assert set(run.units) == set(run.columns)
     assert run.configuration.plant.name == 'servo'
+    assert repr(run.metrics).startswith('<Metrics of 1 to 2 s: error_max 0.')
+    assert 'None' not in repr(run.metrics)
+    assert run.metric_units['error_max'] == 'rad'
+    assert run.metric_units['v_variation'] == 'A/s'
+    assert run.metric_units['omega_share'] == ''
+    assert dz.simulate('wang2004', SHORT).metric_units['error_max'] == ''
     assert run.metrics.error_max == pytest.approx(np.abs(run.error[run.t >= 1.0, 0]).max())
 
 
@@ -153,6 +161,8 @@ def test_a_comparison_names_what_differs():
             dz.compare(*wrong)
     with pytest.raises(ConfigurationError, match='2 different names'):
         dz.compare(*runs, names=('one', 'one'))
+    with pytest.raises(ConfigurationError, match='must be a run, as simulate and read'):
+        dz.compare(runs[0], 'runs/a')
 
 
 def test_the_rules_report_what_they_find():
@@ -171,8 +181,14 @@ def test_a_sweep_is_rows():
     rows = dz.sweep(dz.load('wang2004', SHORT), {'controller.lambda': (1.0, 2.0)}, samples=4,
                     jobs=1)
     assert len({row['controller.lambda'] for row in rows}) == 4
-    with pytest.raises(ConfigurationError, match='two ends'):
-        dz.sweep('wang2004', {'controller.lambda': (1, 2, 3)}, samples=4)
+
+
+@pytest.mark.parametrize(('values', 'samples', 'words'), [
+    ((1, 2, 3), 4, 'two ends'), (('pd', 'pid'), 4, 'two ends'), ([], 0, 'at least one value'),
+    (2.0, 0, 'a list of values'), ('pd', 0, 'a list of values')])
+def test_a_sweep_over_no_values_is_refused_by_its_key(values, samples, words):
+    with pytest.raises(ConfigurationError, match=f'controller.lambda = .*{words}'):
+        dz.sweep('wang2004', {'controller.lambda': values}, samples=samples)
 
 
 def test_of_several_axes_a_key_without_axis_changes_all_and_one_is_chosen():
@@ -216,6 +232,15 @@ def test_plants_to_and_from_python_control():
     inside = 0.5 * configuration.dead_zone.b_r
     assert np.array_equal(with_zone.dynamics(0.0, x, [inside]), bare.dynamics(0.0, x, [0.0]))
     assert with_zone.dynamics(0.0, x, [inside])[1] != bare.dynamics(0.0, x, [inside])[1]
+
+
+def test_what_is_no_system_of_python_control_is_refused():
+    with pytest.raises(ConfigurationError, match='system of python-control'):
+        dz.from_control(3)
+    with pytest.raises(ConfigurationError, match='must be a plant or a configuration'):
+        dz.to_control(3)
+    with pytest.raises(ConfigurationError, match='must be one axis'):
+        dz.to_control(dz.load({'loop.axes': ['a', 'b']}))
 
 
 @pytest.mark.parametrize(('rates', 'words'), [

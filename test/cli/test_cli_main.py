@@ -90,6 +90,19 @@ def test_what_argparse_refuses_is_one_line_and_exit_code_two(words, capsys):
     assert '--help' in err
 
 
+@pytest.mark.parametrize(('words', 'wanted'), [
+    (['run', '--lve'], 'did you mean --live?'), (['simulate', '--reprt'], None),
+    (['--nope'], None), (['bag', 'exprt'], 'did you mean export?'),
+    (['arena', '--laws', 'robst_eso'], 'did you mean robust_eso?'),
+    (['arena', '--scenarios', 'nominl'], 'did you mean nominal?'),
+    (['arena', '--scenarios', 'drift,noise'], '; b=2, delay 1; ')])
+def test_a_misspelt_name_gets_the_suggestion_that_fits(words, wanted, capsys):
+    assert main(words) == 2
+    err = capsys.readouterr().err
+    assert err.count('\n') == 1
+    assert wanted in err if wanted else 'did you mean' not in err
+
+
 def a_verb_that(monkeypatch, action):
     """Make `dz list` do something else."""
     module = importlib.import_module('dz_ros.cli.listing')

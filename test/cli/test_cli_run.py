@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """`dz run`: what is refused before a node starts."""
 
+import socket
+
 import pytest
 
 from dz_ros.cli.main import main
@@ -23,6 +25,23 @@ def test_a_users_mistake_is_one_line_and_exit_code_two(tmp_path, capsys, words, 
     assert error.count('\n') == 1
     assert message in error
     assert not (tmp_path / 'run').exists()
+
+
+@pytest.mark.parametrize('verb', [('run', '--live'), ('report', 'no-run', '--serve')])
+@pytest.mark.parametrize(('words', 'message'), [
+    (('--port', '80000'), '--port = 80000: must be from 1 to 65535'),
+    (('--host', 'no.such.host.invalid'), '--host = '),
+    (('--host', ''), '--host = '),
+    (('--host', '203.0.113.1'), '--host = '),       # of no machine
+    (('--port', 'taken'), 'cannot be served: Address already in use')])
+def test_a_page_that_cannot_be_served_is_refused_first(verb, words, message, capsys):
+    with socket.create_server(('127.0.0.1', 0)) as other:
+        words = [str(other.getsockname()[1]) if word == 'taken' else word for word in words]
+        assert main([*verb, *words]) == 2
+    printed, error = capsys.readouterr()
+    assert printed == ''
+    assert error.count('\n') == 1
+    assert message in error
 
 
 def test_an_existing_directory_is_not_touched(tmp_path, capsys):

@@ -30,3 +30,11 @@ def test_units_of_parameters_are_resolved_from_their_words():
     assert Units(1, ('m',), 'V', ('m',)).resolve_words('actuator unit per unit of Y_i') == 'V/m'
     for text in ('', '1', 'm/s per V', 'state units', 'unit of x/s per command unit'):
         assert SERVO.resolve_words(text) == text
+
+
+@pytest.mark.parametrize(('words', 'expected'), [
+    ('actuator unit, rad/s', 'N m, rad/s'), ('1, rad/s', '1, rad/s'),
+    ('s, unit of x^(n), s', 's, rad/s², s'), ('actuator unit per unit of x', 'N m/rad'),
+    ('unit of x', 'rad')])
+def test_a_list_of_different_units_has_each(words, expected):
+    assert SERVO.resolve_words(words) == expected

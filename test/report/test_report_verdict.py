@@ -9,7 +9,7 @@ import pytest
 
 from dz_ros.core.dataset import Channel
 from dz_ros.core.records import Status
-from dz_ros.report.report import compose
+from dz_ros.report.report import compose, pictures
 from dz_ros.report.sections import ages
 from dz_ros.report.verdict import judge
 from dz_ros.report.view import View
@@ -95,6 +95,29 @@ def test_some_samples_without_the_law_are_left_out(run):
     window = (2.0, 4.0)
     before = View.of(run, window=(2.0, 499 * 0.005)).metrics
     assert View.of(some, window=window).metrics.s_over_epsilon_max == before.s_over_epsilon_max
+
+
+@pytest.mark.filterwarnings('error')
+def test_a_window_without_the_law_keeps_every_picture(run):
+    terms = run.channels['terms']
+    values = terms.values.copy()
+    values[200:, terms.labels.index('status')] = Status.INACTIVE
+    stopped = View.of(replace(run, channels={**run.channels, 'terms': replace(terms,
+                                                                              values=values)}))
+    left_out = []
+    found = {item.name: item for item in pictures(stopped, left_out=left_out)}
+    assert left_out == []
+    assert set(found) == {item.name for item in pictures(View.of(run))}
+    assert 'The law was not active in the window.' in found['filtered_error'].caption
+
+
+def test_the_first_fault_is_named_first(run):
+    found = judge(View.of(with_events(
+        run, (0.5, mode('/controller_node', 'running', 'waiting')),
+        (1.0, mode('/actuator_node', 'fault', 'running', 'the motor is gone')),
+        (2.0, mode('/controller_node', 'fault', 'lost', 'no commands are taken')))))
+    assert [item.partition(' ')[0] for item in found.failures] == [
+        '/actuator_node', '/controller_node']
 
 
 @pytest.mark.parametrize(('duration', 'words'), [

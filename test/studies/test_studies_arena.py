@@ -115,6 +115,8 @@ def test_neither_ours_nor_the_ideal_is_the_best_rival(monkeypatch):
 
 def test_what_the_page_reports_of_its_window(arena):
     assert 'peak |v| over the whole run' in conditions(arena)
+    window = min(10.0, 0.5 * arena.plan.duration)
+    assert f'over the last {window:g} s, of the true state' in conditions(arena)
 
 
 def test_pulses_lie_in_the_window_and_go_both_ways():

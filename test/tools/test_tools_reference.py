@@ -2,6 +2,7 @@
 """The reference pages made from the code leave nothing out and have a meaning for everything."""
 
 from dataclasses import fields
+from fnmatch import fnmatch
 from pathlib import Path
 import re
 import sys
@@ -15,7 +16,7 @@ from make_reference import pages  # noqa: E402
 
 import dz_ros  # noqa: E402
 from dz_ros.cli.verbs import VERBS  # noqa: E402
-from dz_ros.core.configuration import every_field  # noqa: E402
+from dz_ros.core.configuration import every_field, SECTIONS  # noqa: E402
 from dz_ros.core.events import KINDS  # noqa: E402
 from dz_ros.core.laws import LAWS  # noqa: E402
 from dz_ros.core.records import Command, Reference, State, Terms, Truth  # noqa: E402
@@ -39,7 +40,26 @@ def test_every_key_has_type_default_range_and_meaning(made):
     assert set(every_field()) == {row[0].strip('`') for row in found}
     for row in found:
         assert len(row) == 7
-        assert all(row[place] for place in (1, 2, 3, 4, 6)), row
+        assert all(row[place] for place in range(1, 6)), row
+
+
+def test_every_number_has_a_unit():
+    scale = {'process.priority'}    # of the scheduler, whose numbers are ranks
+    assert scale == {key for key, field in every_field().items()
+                     if field.kind in ('float', 'floats', 'int', 'ints') and not field.spec.unit}
+
+
+def test_every_key_that_a_document_names_is_one():
+    documents = [*ROOT.glob('*.md'), *(ROOT / 'examples').glob('*/*.md'),
+                 *(path for path in sorted((ROOT / 'docs').rglob('*.md'))
+                   if path.parent.name != 'reference')]
+    key = re.compile(rf'`((?:{"|".join(SECTIONS)})\.[a-z_*0-9.]+)[`=:]')
+    named = {(path.name, name) for path in documents
+             for name in key.findall(path.read_text(encoding='utf-8'))}
+    assert len(named) > 100
+    known = {*every_field(), 'plant.dead_zone'}
+    assert [(path, name) for path, name in sorted(named)
+            if not any(fnmatch(item, name) for item in known)] == []
 
 
 def test_every_verb_has_its_help(made):

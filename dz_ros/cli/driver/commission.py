@@ -34,7 +34,7 @@ from dz_ros.cli.interrupt import prompt_end
 from dz_ros.cli.options import (
     add_address,
     add_configuration,
-    check_port,
+    check_address,
     read_configuration,
     refuse_existing,
 )
@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
         ConfigurationError: A limit is missing or not allowed.
     """
     out: Path = arguments.out
-    check_port(arguments)
+    check_address(arguments, arguments.live)
     guided = arguments.live and not arguments.yes
     if guided and arguments.until:
         raise ConfigurationError('--until', arguments.until, 'is not for --live without --yes: '

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // What the page can ask of the loop. The e-stop is one click or one key, wherever the focus is, and
 // is sent again until it is answered; anything else is sent only to a server that is connected.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The steps from a new device to a running loop: what each found, and its button. The program that
 // makes them states all of it; the page only asks, and shows the refusal.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // What is seen, as a file: the rows of the window as CSV, the plots as one picture.
 
 import {colour} from './theme.js';

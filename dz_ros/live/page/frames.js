@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Rows of one or two stores, as lines that are drawn: at most two points a pixel, no peak lost.
 //
 // null is a gap in the data, undefined is where this line has no point and another one has.

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // How long things took: bars of counts on a logarithmic axis, the late ones in another colour.
 
 import {colour} from './theme.js';

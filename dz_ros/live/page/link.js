@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The one connection to the server: it reconnects by itself and knows the age of what it receives.
 // Arrival − sending is the clocks' difference plus the delay; its minimum is taken for the
 // difference, so a message later than the quickest is old by as much.

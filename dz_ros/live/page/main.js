@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The page: what comes in is kept in stores, what is looked at is drawn, as often as it can be.
 
 import {Actions} from './actions.js';

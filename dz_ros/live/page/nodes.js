@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The nodes of the loop, the recording, and what has happened.
 
 import {make} from './words.js';

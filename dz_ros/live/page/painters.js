@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // What is painted on a plot besides lines: bands, bounds, stacked parts, marks of events.
 
 import {colour, faded} from './theme.js';

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Forms for the parameters that may change while the loop runs: names, units and ranges are the
 // nodes' own, and so is the refusal.
 

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The plots over time: content, drawing, values beside the names.
 
 import uPlot from './vendor/uPlot.esm.js';

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The numbers that are read from two metres, and the loop's condition.
 
 import {make, number, seconds, withUnit} from './words.js';

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // A recorded run: where one is in it, and playing it at its own pace.
 
 import {seconds} from './words.js';

@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Rows by columns. A live store forgets its oldest rows; one of a recorded run is given them whole.
 
 export class Store {

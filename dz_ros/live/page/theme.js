@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Light and dark: the system's choice until the user chooses; colours from the style sheet.
 
 export function start(changed) {

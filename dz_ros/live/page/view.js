@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // The span of time that is looked at, and the cursor in it.
 
 const LEAST = 0.02;     // s

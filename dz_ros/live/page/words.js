@@ -1,3 +1,4 @@
+// SPDX-License-Identifier: Apache-2.0
 // Names of columns as they are read, and numbers as they are written.
 
 const LOW = '₀₁₂₃₄₅₆₇₈₉';
