@@ -7,6 +7,7 @@ so that all kinds meet the same machine; CPU is that of plant, trajectory, contr
 
     python benchmarks/axes.py [--axes 1 2 3 6 12] [--turns N] [--duration S] [--no-sets]
     python benchmarks/axes.py --write            write the table into docs/axes.md as well
+    python benchmarks/axes.py --axes 1 --before DIR   one axis against that of another checkout
 
 A ratio is the median over the turns of that turn's own, with its 90 % interval.
 """
@@ -74,18 +75,20 @@ def settled(running: subprocess.Popen[str], begun: queue.Queue[str]) -> None:
         begun.put(''.join(lines) or 'a loop has ended')
 
 
-def run(loops: Sequence[list[str]], directories: Sequence[Path],
-        duration: float) -> tuple[float, Measured]:
+def run(loops: Sequence[list[str]], directories: Sequence[Path], duration: float,
+        checkout: Path = ROOT) -> tuple[float, Measured]:
     """Run loops side by side; return the share of a core that they take, and what they were like.
 
     Args:
         loops: Command line of each.
         directories: Their recordings.
         duration: [s]
+        checkout: Source tree whose loops they are.
     """
     found, begun = Measured(), queue.Queue[str]()
+    env = {**environment(), 'PYTHONPATH': str(checkout)}
     with contextlib.ExitStack() as stack:
-        started = [stack.enter_context(process(words, environment())) for words in loops]
+        started = [stack.enter_context(process(words, env, checkout)) for words in loops]
         for item in started:
             threading.Thread(target=settled, args=(item, begun), daemon=True).start()
         for _ in started:
@@ -106,6 +109,26 @@ def run(loops: Sequence[list[str]], directories: Sequence[Path],
         judge(one, next(iter(each_axis(data).values())))
         found.add(one)
     return share, found
+
+
+def compare(before: Path, turns: int, duration: float) -> list[str]:
+    """Return the lines that compare one axis with that of another checkout, in turns."""
+    found: dict[Path, list[tuple[float, float]]] = {before: [], ROOT: []}
+    for turn in range(turns):
+        for checkout in (before, ROOT) if turn % 2 else (ROOT, before):
+            with tempfile.TemporaryDirectory() as folder:
+                place = Path(folder) / 'run'
+                share, seen = run([words_of(place)], [place], duration, checkout)
+            found[checkout].append((share, statistics.median(seen.round_trips)))
+            print(f'turn {turn + 1}: {"now" if checkout == ROOT else "before"}: '
+                  f'{100.0 * share:.1f} % of a core, round trip p50 '
+                  f'{1e6 * found[checkout][-1][1]:.0f} us', flush=True)
+    lines = [f'Measured on {describe("ros-rclpy", "ros-rmw-fastrtps-cpp")}.']
+    for place, name in enumerate(('CPU', 'round trip p50')):
+        row = in_turns(name, [now[place] / then[place] for now, then in
+                              zip(found[ROOT], found[before], strict=True)])
+        lines.append(f'{name} of one axis over that of the other checkout: {row.cells()[1]}')
+    return lines
 
 
 def measure(counts: Sequence[int], turns: int, duration: float,
@@ -162,7 +185,12 @@ def main() -> int:
     parser.add_argument('--duration', type=float, default=5.0, help='of each turn [s]')
     parser.add_argument('--no-sets', action='store_true', help='leave out the sets of nodes')
     parser.add_argument('--write', action='store_true', help=f'write the table into {PAGE.name}')
+    parser.add_argument('--before', type=Path, metavar='DIR',
+                        help='another checkout; only one axis of it is compared with one of this')
     arguments = parser.parse_args()
+    if arguments.before:
+        print(*compare(arguments.before.resolve(), arguments.turns, arguments.duration), sep='\n')
+        return 0
     counts = sorted({1, *arguments.axes})
     lines, missed = table(measure(counts, arguments.turns, arguments.duration,
                                   not arguments.no_sets))

@@ -49,9 +49,10 @@ def environment(transport: str = '', profile: bool = False) -> dict[str, str]:
 
 
 @contextlib.contextmanager
-def process(words: Sequence[str], env: dict[str, str]) -> Iterator[subprocess.Popen[str]]:
-    """Start a process; end it."""
-    started = subprocess.Popen([sys.executable, *words], cwd=ROOT, env=env, text=True,
+def process(words: Sequence[str], env: dict[str, str],
+            folder: Path = ROOT) -> Iterator[subprocess.Popen[str]]:
+    """Start a process in a folder; end it."""
+    started = subprocess.Popen([sys.executable, *words], cwd=folder, env=env, text=True,
                                stdout=subprocess.PIPE)
     try:
         yield started
