@@ -22,7 +22,7 @@ from dz_ros.cli.progress import silence
 from dz_ros.cli.verbs import GROUPS, NOUNS, Verb, VERBS
 from dz_ros.errors import DzRosError, suggestion
 from dz_ros.runtime.import_path import drop_current_folder
-from dz_ros.runtime.signals import ENDS, ignore_ends
+from dz_ros.runtime.os_signals import ENDS, ignore_ends
 from dz_ros.version import version
 
 USER_ERROR = 2

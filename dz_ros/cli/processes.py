@@ -20,8 +20,8 @@ import yaml
 
 from dz_ros.errors import MissingDependencyError, NO_RCLPY
 from dz_ros.runtime.log_folder import log_folder_fault, NO_LOG_FILES
+from dz_ros.runtime.os_signals import ENDS, on_ends
 from dz_ros.runtime.process import PARENT
-from dz_ros.runtime.signals import ENDS, on_ends
 
 GRACE = 10.0
 """A node that has not ended this long after the request is killed [s]."""

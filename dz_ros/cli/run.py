@@ -43,7 +43,7 @@ from dz_ros.core.text import printable
 from dz_ros.errors import DzRosError, LoopError
 from dz_ros.files.configurations import format_parameters
 from dz_ros.runtime.claim import claim, ClaimedError, domain, domain_topic
-from dz_ros.runtime.signals import on_ends
+from dz_ros.runtime.os_signals import on_ends
 
 ORDER = (('plant_node', 'actuator_node'), ('trajectory_node', 'controller_node'),
          ('recorder_node',), ('live_node', 'foxglove_node'))

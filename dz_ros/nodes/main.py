@@ -18,7 +18,7 @@ from types import FrameType
 from typing import Any
 
 from dz_ros.runtime.import_path import drop_current_folder
-from dz_ros.runtime.signals import ENDS, ignore_ends, on_ends
+from dz_ros.runtime.os_signals import ENDS, ignore_ends, on_ends
 
 NODES = {'plant_node': 'make_plant_node', 'actuator_node': 'ActuatorNode',
          'controller_node': 'ControllerNode',

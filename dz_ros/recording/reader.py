@@ -23,7 +23,7 @@ from dz_ros.recording.run_description import configuration_info, renamed_topics
 from dz_ros.recording.run_source import open_source, Source
 from dz_ros.recording.summary import TopicSummary
 from dz_ros.recording.tables import Table
-from dz_ros.recording.topic_sequence import TopicCounter
+from dz_ros.recording.topic_counts import TopicCounter
 from dz_ros.runs.history import RunHistory
 
 Event = tuple[int, str, str]

@@ -36,7 +36,7 @@ from dz_ros.recording.channels import ARRAY, CHANNELS, MessageType, Qos, TYPES
 from dz_ros.recording.chunk_indices import pack_indices
 from dz_ros.recording.output_file import OutputFile
 from dz_ros.recording.summary import Summary
-from dz_ros.recording.topic_sequence import TopicCounter
+from dz_ros.recording.topic_counts import TopicCounter
 
 CHUNK_BYTES = 128 * 1024
 CHUNK_SECONDS = 0.5

@@ -53,7 +53,7 @@ def test_before_a_node_takes_signals_it_imports_next_to_nothing(processes):
     assert started.wait() == 0, started.output
     loaded = {name for name in started.output.split() if name.partition('.')[0] == 'dz_ros'}
     assert loaded == {'dz_ros', 'dz_ros.nodes', 'dz_ros.nodes.main', 'dz_ros.runtime',
-                      'dz_ros.runtime.import_path', 'dz_ros.runtime.signals'}
+                      'dz_ros.runtime.import_path', 'dz_ros.runtime.os_signals'}
     assert not {'ctypes', 'dataclasses', 'json', 'socket', 'tempfile'} & set(
         started.output.split())
 

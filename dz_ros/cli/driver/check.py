@@ -38,7 +38,7 @@ from dz_ros.files.configurations import (
     load_configuration,
     shipped_configurations,
 )
-from dz_ros.runtime.signals import Stopping
+from dz_ros.runtime.os_signals import Stopping
 
 FAILED = 1
 CONFIG = 'robust_eso'

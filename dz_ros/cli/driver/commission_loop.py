@@ -26,7 +26,7 @@ from dz_ros.errors import ConfigurationError, RecordingError
 from dz_ros.files.configurations import load_configuration, write_parameters
 from dz_ros.identification.estimation.pipeline import identify_log, refine_identified
 from dz_ros.identification.proposal import propose
-from dz_ros.runtime.signals import ENDS
+from dz_ros.runtime.os_signals import ENDS
 from dz_ros.studies.tune import Proposal
 
 PEAK = 2.46

@@ -36,7 +36,7 @@ from dz_ros.files.configurations import format_parameters
 from dz_ros.identification.commissioning import StepLog
 from dz_ros.identification.experiment.moves import Experiment
 from dz_ros.runs.metrics import jsonable
-from dz_ros.runtime.signals import stop_on_signals
+from dz_ros.runtime.os_signals import stop_on_signals
 
 PRESSED = 'e-stop pressed in the page'
 GONE = 'the live page has ended'

@@ -16,7 +16,7 @@ from dz_ros.drivers.emulators import Emulator, EMULATORS, Fault
 from dz_ros.errors import ConfigurationError, DzRosError
 from dz_ros.files.configurations import shipped_configurations
 from dz_ros.files.yaml12 import parse, YamlError
-from dz_ros.runtime.signals import on_ends
+from dz_ros.runtime.os_signals import on_ends
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

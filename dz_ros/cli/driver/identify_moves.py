@@ -17,7 +17,7 @@ from dz_ros.identification.experiment.plan import Limits, Plan
 from dz_ros.identification.experiment.session import run_session, StoppedError
 from dz_ros.identification.samples import Samples
 from dz_ros.runtime.deadlines import Deadlines
-from dz_ros.runtime.signals import stop_on_signals, Stopping
+from dz_ros.runtime.os_signals import stop_on_signals, Stopping
 
 SLICE = 0.05
 """A signal is noticed within this, or a sample [s]."""

@@ -12,7 +12,7 @@ import time
 
 from dz_ros.cli.operator import operator
 from dz_ros.errors import DriverError
-from dz_ros.runtime.signals import Stopping
+from dz_ros.runtime.os_signals import Stopping
 
 START_LIMIT = 20.0
 """The node that receives the e-stop must have started within this [s]."""

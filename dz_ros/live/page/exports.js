@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What is seen, as a file: the rows of the window as CSV, the plots as one picture.
 
-import {colour} from './theme.js';
+import {colour} from './theme_switch.js';
 
 function save(name, blob) {
   const link = document.createElement('a');

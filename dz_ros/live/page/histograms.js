@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // How long things took: bars of counts on a logarithmic axis, the late ones in another colour.
 
-import {colour} from './theme.js';
+import {colour} from './theme_switch.js';
 import {make} from './words.js';
 
 const BINS = 48;

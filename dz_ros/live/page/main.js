@@ -12,7 +12,7 @@ import {Plots} from './plots.js';
 import {condition, Tiles} from './readout.js';
 import {Scrub} from './scrub.js';
 import {RunStore, Store} from './store.js';
-import * as theme from './theme.js';
+import * as theme from './theme_switch.js';
 import {keys, View} from './view.js';
 import {seconds} from './words.js';
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What is painted on a plot besides lines: bands, bounds, stacked parts, marks of events.
 
-import {colour, faded} from './theme.js';
+import {colour, faded} from './theme_switch.js';
 
 function path(u, points) {
   const {ctx} = u;

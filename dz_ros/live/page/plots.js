@@ -4,7 +4,7 @@
 import uPlot from './vendor/uPlot.esm.js';
 import {frames} from './frames.js';
 import {band, marks, reach, rules, stack} from './painters.js';
-import {colour} from './theme.js';
+import {colour} from './theme_switch.js';
 import {make, withUnit, word} from './words.js';
 
 const PART_TINTS = ['--blue', '--green', '--yellow', '--red', '--purple', '--sky'];

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 from dz_ros.recording.cdr import ArrayCodec, encode_string
-from dz_ros.recording.topic_sequence import TopicCounter
+from dz_ros.recording.topic_counts import TopicCounter
 
 
 def test_topic_counter_reads_seq_where_there_is_one():
