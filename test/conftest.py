@@ -382,6 +382,50 @@ def serial_device(request, processes, tmp_path):
     return start
 
 
+PATIENT = ('loop.rate=100', 'safety.state_hold=200', 'safety.command_hold=100',
+           'safety.echo_limit=300', 'safety.reference_hold=300', 'safety.fault_after=5000')
+"""A rate and holds for a machine that is busy with other tests."""
+
+
+@pytest.fixture
+def serial_settings(serial_device):
+    """Start a device on a serial line; return the settings of a patient loop with it."""
+    pytest.importorskip('serial', reason='pyserial is not installed')
+    serial_device()
+    return (*PATIENT, 'driver.silence=3.0', 'driver.fresh=4.0', 'driver.watchdog=1.0',
+            f'driver.port={serial_device.port}')
+
+
+@pytest.fixture
+def cia402_settings(processes, ros_domain):
+    """Start a CiA 402 drive on a bus of its own; return the settings of a patient loop with it."""
+    pytest.importorskip('canopen', reason='canopen is not installed')
+    can = pytest.importorskip('can', reason='python-can is not installed')
+    port = 43400 + ros_domain
+    try:
+        can.Bus(interface='udp_multicast', channel='239.74.163.2', port=port,
+                hop_limit=0).shutdown()
+    except can.CanError as error:
+        pytest.skip(f'no multicast on this machine: {error}')
+    found = (*PATIENT, 'driver.heartbeat_hold=2.0', 'driver.command_hold=2.0',
+             'driver.answer_limit=1.0', f'driver.bus_options=[port={port}, hop_limit=0]')
+    processes('-m', 'dz_ros', 'driver', 'emulate', 'cia402', 'cia402', *(
+        word for text in found for word in ('--set', text))
+    ).wait_for_line('simulated drive, node 1 on udp_multicast')
+    return found
+
+
+@pytest.fixture
+def joint_settings(processes, ros_domain):
+    """Start a joint of ros2_control; return the settings of a patient loop with it."""
+    pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
+    root = Path(__file__).parents[1]
+    processes(str(root / 'test' / 'nodes' / 'ros2_control_emulator.py'),
+              str(root / 'config' / 'joint.yaml'), 'effort', 'active=1',
+              PYTHONPATH=str(root)).wait_for_line('controllers are loaded')
+    return (*PATIENT, 'driver.fresh=4.0')
+
+
 class Made:
     """Whatever a launch file makes: what it is made of is kept."""
 

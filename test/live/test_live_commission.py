@@ -5,7 +5,6 @@ Over 300 lines: one page and its helpers serve the steps with every kind of devi
 """
 
 import json
-from pathlib import Path
 import socket
 
 import numpy as np
@@ -18,10 +17,6 @@ from dz_ros.recording.reader import read_run
 pytestmark = pytest.mark.live
 
 DZ = ('-m', 'dz_ros')
-# A rate and holds for a machine that is busy with other tests.
-PATIENT = ('loop.rate=100', 'safety.state_hold=200', 'safety.command_hold=100',
-           'safety.echo_limit=300', 'safety.reference_hold=300', 'safety.fault_after=5000')
-SERIAL = ('driver.silence=3.0', 'driver.fresh=4.0', 'driver.watchdog=1.0')
 STALLED = ('sensor', 'identify', 'loop')
 """Steps that a machine without time may spoil: they are repeated, as an operator would."""
 TRIES = 4
@@ -88,49 +83,11 @@ def fill(page, **values):
         page.fill(f'#commission-form input[name={name}]', str(value))
 
 
-@pytest.fixture
-def serial_settings(request):
-    """An emulated serial device; its settings."""
-    pytest.importorskip('serial', reason='pyserial is not installed')
-    device = request.getfixturevalue('serial_device')
-    device()
-    return (*SERIAL, f'driver.port={device.port}')
-
-
-@pytest.fixture
-def cia402_settings(processes, ros_domain):
-    """An emulated CiA 402 drive on a bus of its own; its settings."""
-    pytest.importorskip('canopen', reason='canopen is not installed')
-    can = pytest.importorskip('can', reason='python-can is not installed')
-    port = 43400 + ros_domain
-    try:
-        can.Bus(interface='udp_multicast', channel='239.74.163.2', port=port,
-                hop_limit=0).shutdown()
-    except can.CanError as error:
-        pytest.skip(f'no multicast on this machine: {error}')
-    own = ('driver.heartbeat_hold=2.0', 'driver.command_hold=2.0', 'driver.answer_limit=1.0',
-           f'driver.bus_options=[port={port}, hop_limit=0]')
-    processes(*DZ, 'driver', 'emulate', 'cia402', 'cia402', *settings(*PATIENT, *own)
-              ).wait_for_line('simulated drive, node 1 on udp_multicast')
-    return own
-
-
-@pytest.fixture
-def joint_settings(processes, ros_domain):
-    """Controller and hardware of a joint of ros2_control; its settings."""
-    pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
-    root = Path(__file__).parents[2]
-    processes(str(root / 'test' / 'nodes' / 'ros2_control_emulator.py'),
-              str(root / 'config' / 'joint.yaml'), 'effort', 'active=1',
-              PYTHONPATH=str(root)).wait_for_line('controllers are loaded')
-    return ('driver.fresh=4.0',)
-
-
 @pytest.mark.ros
 @pytest.mark.slow
 @pytest.mark.parametrize('serial_device', ['emulated'], indirect=True)
-def test_a_serial_device_ends_in_a_loop_that_tracks(commission, serial_device, serial_settings,
-                                                    axe):
+def test_a_serial_device_ends_in_a_loop_that_tracks(commission, serial_device,
+                                                    serial_settings, axe):
     page, process, out = begin_with(commission, 'serial', serial_settings)
     assert page.evaluate(f"{item('sign')}.querySelector('button').disabled")
     for value, words in ((2, '--effort = None: must be given'), ('far', "--travel = 'far'")):
@@ -154,7 +111,7 @@ def test_a_drive_on_a_bus_or_a_joint_ends_in_a_loop_that_tracks(request, commiss
 
 def begin_with(commission, device, own):
     """Start the commissioning of a device in its page, without limits."""
-    return commission(device, *settings(*PATIENT, *own), '--repeats', '8', '--ramp', '2',
+    return commission(device, *settings(*own), '--repeats', '8', '--ramp', '2',
                       '--pause', '0.2', '--loop-duration', '12')
 
 
@@ -195,13 +152,12 @@ def ends_in_a_loop_that_tracks(page, process, out, axe):
 @pytest.mark.slow
 @pytest.mark.parametrize('serial_device', ['emulated'], indirect=True)
 @pytest.mark.parametrize('how', ['click', 'key'])
-def test_an_estop_in_the_page_during_a_pulse_ends_it_safe(commission, serial_device, how):
-    pytest.importorskip('serial', reason='pyserial is not installed')
-    serial_device()
+def test_an_estop_in_the_page_during_a_pulse_ends_it_safe(commission, serial_device,
+                                                          serial_settings, how):
     # So slow a ramp that the device is far from moving by itself when the e-stop comes.
     page, process, out = commission(
-        'serial', *settings(*PATIENT, *SERIAL, f'driver.port={serial_device.port}'), '--ramp',
-        '600', '--travel', '2', '--speed', '2', '--effort', '6')
+        'serial', *settings(*serial_settings), '--ramp', '600', '--travel', '2', '--speed', '2',
+        '--effort', '6')
     assert make(page, 'limits', False) == 'done'
     begin(page, 'sign')
     confirm(page)
