@@ -118,6 +118,23 @@ class Operator:
         self.wait(lambda: all(self.modes().get(name, ('',))[0] == mode
                               for name, mode in wanted.items()))
 
+    def start_again(self, actuator='plant_node', release=lambda: None):
+        """Reset the ends that are latched, the actuator first, until both run.
+
+        As an operator would: a reset is refused while a stall keeps the loop silent, and the press
+        of the other end may come after one.
+        """
+        ends = (actuator, 'controller_node')
+
+        def running():
+            release()
+            for name in ends:
+                if self.modes()[name][0] in ('estop', 'fault'):
+                    self.call(f'{name}/reset')
+            return all(self.modes()[name][0] == 'running' for name in ends)
+
+        self.wait(running)
+
     def call(self, service, service_type=None, request=None):
         service_type = service_type or self.trigger
         client = self.node.create_client(service_type, service)

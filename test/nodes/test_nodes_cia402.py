@@ -238,10 +238,7 @@ def test_a_killed_drive_is_a_fault_and_a_new_one_is_driven(processes, drive, ope
     assert 'no answer within 1 s: is the drive on' in refused.message
     again = processes(*DZ, 'driver', 'emulate', 'cia402', 'cia402', *settings)
     again.wait_for_line('simulated drive')
-    operator.wait(lambda: operator.call('actuator_node/reset').success)
-    if operator.modes()['controller_node'][0] == 'fault':
-        operator.wait(lambda: operator.call('controller_node/reset').success)
-    operator.wait_for_mode(actuator_node='running', controller_node='running')
+    operator.start_again('actuator_node')
     assert loop.interrupt() == 0
 
 

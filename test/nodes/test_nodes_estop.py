@@ -77,15 +77,7 @@ def both_stopped(operator):
 
 def both_reset(operator, *released):
     """Release these, which may forget what they send, and reset both ends until they run."""
-    def running():
-        for press in released:
-            press(False)
-        for node in NAMES[:2]:      # refused while a machine that stalls keeps the loop silent
-            if operator.modes()[node][0] in ('estop', 'fault'):
-                operator.call(f'{node}/reset')
-        return all(operator.modes()[node][0] == 'running' for node in NAMES[:2])
-
-    operator.wait(running)
+    operator.start_again(release=lambda: [press(False) for press in released])
 
 
 def test_a_publisher_without_a_node_is_no_end_because_another_publishes_states():

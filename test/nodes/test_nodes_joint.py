@@ -359,8 +359,7 @@ def test_a_controller_that_leaves_active_is_a_fault_and_gets_the_safe_command_wh
     assert not watcher.call('actuator_node/reset').success
     robot.do('activate')                # it has forgotten every command
     watcher.wait(lambda: robot.held == 0.0)
-    for node in ('actuator_node', 'controller_node'):
-        watcher.wait(lambda node=node: watcher.call(f'{node}/reset').success)
+    watcher.start_again('actuator_node')
     watcher.running()
     watcher.wait(lambda: abs(robot.held) > 0.3)
     robot.do('deactivate')

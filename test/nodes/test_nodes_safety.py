@@ -68,9 +68,7 @@ def test_a_killed_controller_leaves_the_safe_command_within_three_samples(
     start(processes, 'controller_node')
     received = len(operator.received['command'])
     operator.wait(lambda: len(operator.received['command']) > received + 20)
-    assert operator.call('plant_node/reset').success
-    operator.call('controller_node/reset')      # if it received nothing until it gave up
-    operator.wait_for_mode(plant_node='running', controller_node='running')
+    operator.start_again()
     operator.wait(lambda: held(operator.received['truth'][-1]) != 0.0)
 
 
@@ -91,9 +89,7 @@ def test_estop_by_topic_stops_both_ends_and_only_their_resets_release_it(loop, o
     assert not refused.success
     assert 'still pressed' in refused.message
     publisher.publish(operator.bool(data=False))
-    for node in ('plant_node', 'controller_node'):
-        operator.wait(lambda node=node: operator.call(f'{node}/reset').success)
-    operator.wait_for_mode(plant_node='running', controller_node='running')
+    operator.start_again()
 
 
 def test_ends_that_poll_serve_estop_and_services_all_the_same(processes, operator):
@@ -105,9 +101,7 @@ def test_ends_that_poll_serve_estop_and_services_all_the_same(processes, operato
         assert operator.call(f'{name}/estop').success
     operator.wait_for_mode(plant_node='estop', controller_node='estop')
     operator.wait(lambda: held(operator.received['truth'][-1]) == 0.0)
-    for name in NAMES[:2]:
-        operator.wait(lambda name=name: operator.call(f'{name}/reset').success)
-    operator.wait_for_mode(plant_node='running', controller_node='running')
+    operator.start_again()
     operator.wait(lambda: held(operator.received['truth'][-1]) != 0.0)
 
 
@@ -290,8 +284,7 @@ def test_a_stopped_trajectory_becomes_a_fault_and_the_loop_goes_on_after_reset(
     assert operator.modes()['controller_node'] == ('fault', 'no reference')
     assert not operator.call('controller_node/reset').success
     os.kill(loop['trajectory_node'].pid, signal.SIGCONT)
-    operator.wait(lambda: operator.call('controller_node/reset').success)
-    operator.wait_for_mode(plant_node='running', controller_node='running')
+    operator.start_again()
 
 
 @pytest.mark.parametrize('limit', ['command_limit=5', 'rate_limit=60', 'ramp=0.5'])
