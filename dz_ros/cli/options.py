@@ -138,14 +138,22 @@ def window(arguments: argparse.Namespace) -> tuple[float, float] | None:
 
 
 def refuse_existing(path: Path | None, kind: str = 'directory') -> None:
-    """Refuse to overwrite.
+    """Refuse to overwrite, and a directory that cannot be made, before anything starts.
 
     Raises:
         RunExistsError: There is something of that name.
+        NotADirectoryError: What should hold the directory is a file.
+        PermissionError: It may not be written to.
     """
     if path is not None and (path.exists() or path.is_symlink()):
         raise RunExistsError(f'{path}: exists already and is never overwritten; choose another '
                              f'{kind}')
+    if path is not None and kind == 'directory':
+        holder = next(item for item in path.absolute().parents if item.exists())
+        if not holder.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, 'no directory', str(holder))
+        if not os.access(holder, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, 'must be writable', str(holder))
 
 
 def require_folder(path: Path) -> None:

@@ -150,12 +150,13 @@ def _waypoints(t: Array, x_d: Array) -> dict[str, Any]:
 
 def _check_given(given: Mapping[str, Array], n: int, timed: bool) -> None:
     """Check that what cannot be missed is given."""
+    named = ', '.join(given)
     if 'stamp' not in given and not timed:
-        raise ConfigurationError(KEY, '', 'must name the column of the time: stamp=COLUMN')
+        raise ConfigurationError(KEY, named, 'must name the column of the time: stamp=COLUMN')
     for i in range(max(1, n - 1)):
         if f'x{i}' not in given:
-            raise ConfigurationError(KEY, '', f'must name the column of x{i}; of a plant of order '
-                                     f'{n} only x{n - 1} can be observed' if n > 1 else
+            raise ConfigurationError(KEY, named, f'must name the column of x{i}; of a plant of '
+                                     f'order {n} only x{n - 1} can be observed' if n > 1 else
                                      f'must name the column of x{i}')
     orders = [i for i in range(n + 1) if f'xd{i}' in given]
     if orders and orders != list(range(len(orders))):

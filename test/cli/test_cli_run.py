@@ -44,6 +44,15 @@ def test_a_page_that_cannot_be_served_is_refused_first(verb, words, message, cap
     assert message in error
 
 
+@pytest.mark.parametrize('verb', [('run',), ('simulate', 'servo')], ids=' '.join)
+def test_a_directory_that_cannot_be_made_is_refused_first(verb, tmp_path, capsys):
+    (tmp_path / 'file').touch()
+    assert main([*verb, '--record', str(tmp_path / 'file' / 'a' / 'run')]) == 2
+    printed, error = capsys.readouterr()
+    assert printed == ''
+    assert error == f'dz: error: {tmp_path / "file"}: no directory\n'
+
+
 def test_an_existing_directory_is_not_touched(tmp_path, capsys):
     assert main(['run', '--record', str(tmp_path)]) == 2
     assert 'never overwritten' in capsys.readouterr().err
