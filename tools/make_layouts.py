@@ -24,6 +24,7 @@ sys.path.insert(0, str(ROOT))
 from dz_ros.core.configuration import Configuration  # noqa: E402
 from dz_ros.core.signals import Role, Signal, TERMS  # noqa: E402
 from dz_ros.core.units import Units  # noqa: E402
+from dz_ros.errors import ConfigurationError  # noqa: E402
 from dz_ros.files.configurations import load_configuration  # noqa: E402
 from dz_ros.live.columns import shown  # noqa: E402
 from dz_ros.live.node_configurations import fields_of  # noqa: E402
@@ -190,9 +191,13 @@ def main() -> int:
     parser.add_argument('--namespace', default='', help='of the loop')
     parser.add_argument('--axis', default='', help='axis, of a loop of several')
     arguments = parser.parse_args()
+    try:
+        made = layouts(load_configuration(arguments.config), arguments.namespace, arguments.axis)
+    except ConfigurationError as error:
+        print(f'make_layouts: error: {error}', file=sys.stderr)
+        return 2
     arguments.out.mkdir(parents=True, exist_ok=True)
-    for name, contents in layouts(load_configuration(arguments.config),
-                                  arguments.namespace, arguments.axis).items():
+    for name, contents in made.items():
         (arguments.out / name).write_bytes(contents)
         print(arguments.out / name)
     return 0

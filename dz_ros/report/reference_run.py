@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dz_ros.core.dataset import from_run, RunData
 from dz_ros.core.deadzone import NAMES
+from dz_ros.core.loop.coupled import knows_others
 from dz_ros.core.loop.offline import simulate
 from dz_ros.report.view import View
 
@@ -17,11 +18,13 @@ MOST_SAMPLES = 1_000_000
 def without_dead_zone(view: View) -> RunData | None:
     """Return the run of the same configuration with D(v) = v, simulated; None = not possible.
 
+    Not possible either of one axis whose plant or law depend on the others.
+
     Raises:
         OverflowError: Without dead-zone the loop diverges.
     """
     c = view.setting.configuration
-    if c is None or (c.dead_zone.absent and not c.zone_numbers[0]):
+    if c is None or knows_others(c) or (c.dead_zone.absent and not c.zone_numbers[0]):
         return None
     zone = {f'plant.dead_zone.{key}': value for key, value in (
         ('b_r', 0.0), ('b_l', 0.0), ('m_r', 1.0), ('m_l', 1.0),

@@ -158,7 +158,7 @@ def test_runs_inside_the_assumptions_stay_below_the_bound(example, at):
     configuration, found = example
     bounds = found.delays[at]
     most = np.zeros(2)
-    for run in random_runs(configuration, found, bounds.delay, 40, seed=7):
+    for run in random_runs(configuration, found, bounds.delay, 1000, seed=7):
         most = np.maximum(most, reached(run))
     assert (most <= bounds.error_bound).all()
     assert most[0] >= 0.4 * bounds.error_bound[0]     # the bound is of use

@@ -93,7 +93,7 @@ def test_from_50_to_100_radians_a_second_suit_a_layer_of_0_05_under_noise(omega)
 
 
 @pytest.mark.parametrize(('omega', 'words', 'change'), [
-    (20.0, 'oscillates', 'raise driver.observer to 4'), (200.0, '0.0899 of ε = 0.05', 'lower')])
+    (20.0, 'oscillates', 'raise driver.observer to 66'), (200.0, '0.0899 of ε = 0.05', 'lower')])
 def test_a_pole_too_slow_or_too_fast_is_a_warning_that_reports_what_to_do(omega, words, change):
     (found,) = findings(driver__observer=omega)
     assert found.level == WARNING
@@ -228,3 +228,32 @@ def test_device_configurations_without_a_velocity_are_calm_by_rule_and_in_simula
     late = slice(len(run.t) // 2, None)
     assert np.abs(run.x[late, 0] - run.x_d[late, 0]).max() < 1e-3
     assert np.abs(np.diff(run.v[late])).sum() / 4.0 < 12.0
+
+
+def test_the_limit_of_chatter_has_the_observer_in_its_loop():
+    """b m up to 1.25, of which 1.034 is calm with a sample of delay; it is 2.087 without it."""
+    def limit(**overrides):
+        c = load_configuration('robust_eso', [
+            f'{key}={value}' for key, value in overrides.items()])
+        return next(item for item in check(c)
+                    if item.rule == 'chatter' and item.numbers['delay'] == 1.0)
+
+    observed, measured = limit(**{'driver.measured': 1}), limit()
+    assert measured.level == INFO
+    assert measured.numbers['largest_beta'] == pytest.approx(2.087, abs=0.002)
+    assert observed.level == WARNING
+    assert observed.numbers['largest_beta'] == pytest.approx(1.034, abs=0.002)
+
+
+@pytest.mark.parametrize('delay', [0, 1])
+def test_a_proposed_pole_is_calm_with_a_sample_of_delay_too(delay):
+    slow = ('joint', ['driver.measured=1', 'driver.observer=50'])
+    (found,) = (item for item in check(load_configuration(*slow)) if item.rule == 'observer')
+    omega = float(found.change.split()[3])
+    c = load_configuration('joint', [
+        'driver.name=simulated', 'driver.measured=1', f'driver.observer={omega}',
+        f'loop.delay={delay}', 'loop.duration=20'])
+    run = simulate_fast(c)
+    late = run.v[-1000:]
+    assert float(np.abs(np.diff(late)).sum()) / 5.0 < 10.0      # no limit cycle in the layer
+    assert float(np.abs(run.x[-1000:, 0] - run.x_d[-1000:, 0]).max()) < 1e-3

@@ -12,6 +12,8 @@ import time
 import pytest
 
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.design.rules import check
+from dz_ros.core.loop.coupled import simulate_axes
 from dz_ros.core.safety.health import Report
 from dz_ros.drivers.hosted_axes import HostedDrivers
 from dz_ros.drivers.serial.protocol import Mode, Request, State
@@ -356,3 +358,14 @@ def test_the_shortest_hold_of_the_axes_is_that_of_the_device(machines):
     found.hosted.each[1].configure(Configuration.from_flat({**flat, 'driver.watchdog': 0.3}))
     found.until(lambda: liar.commands[-1].hold_ms == 300)
     assert isinstance(found.link.newest()[0], State)
+
+
+def test_an_axis_of_any_motor_is_asked_alone_and_opened_with_the_others(tmp_path):
+    c = machine(tmp_path / 'none', ('pan', 'tilt'), axes__pan__driver__motor=1,
+                axes__tilt__driver__motor=0)
+    assert all(check(item) for item in c.each)
+    assert set(simulate_axes(c.replace(**{'loop.duration': 0.1}))) == {'pan', 'tilt'}
+    alone = c.axis('pan').make_driver()
+    assert alone.measured == 2
+    with pytest.raises(DriverError, match=r'^driver.motor = 1: must be below 1, the number of'):
+        alone.open()

@@ -15,7 +15,7 @@ from dz_ros.cli.offline import simulate_offline
 from dz_ros.cli.options import add_recording, read_one, refuse_existing, window
 from dz_ros.cli.output import note_run, print_lines
 from dz_ros.cli.progress import stage
-from dz_ros.core.plants.coupled import CoupledPlant
+from dz_ros.core.loop.coupled import knows_others
 from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import flat_parameters, load_configuration
 from dz_ros.identification.estimation.prediction_error import Fit
@@ -67,6 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     begin = time.perf_counter()
     done = simulate_offline(planned.configuration, planned.memory)
     elapsed = time.perf_counter() - begin
+    alone = knows_others(planned.configuration)
     name = arguments.run.resolve().name
     made = answer(planned, done, name, time.time_ns())
     if arguments.record is not None:
@@ -79,10 +80,11 @@ def run(arguments: argparse.Namespace) -> int:
         comparison = compare({name: data, 'what if': made}, window=window(arguments),
                              pulse=arguments.pulse)
         page = write_comparison(comparison, arguments.out or beside(arguments.run, 'whatif'),
-                                title=f'{name}, and what if {_words(overrides) or "fitted"}')
+                                title=f'{name}, and what if {_words(overrides) or "fitted"}'
+                                + (' (of this axis alone, the others at rest)' if alone else ''))
     print_lines(side_by_side(comparison))
     print_lines(f'note: {text}' for text in planned.notes)
-    if isinstance(planned.configuration.plant, CoupledPlant) or planned.configuration.law.coupled:
+    if alone:
         print_lines(['note: plant or law couple this axis to others; the answer is that of the '
                      'axis alone, the others at rest'])
     note_run(data)

@@ -45,6 +45,17 @@ def observer_of(c: Configuration) -> Observer:
     return OBSERVERS[settings.observer_kind](omega)
 
 
+def linear_observer(c: Configuration, measured: int) -> LinearObserver | None:
+    """Return the observer of the velocity as part of the loop's matrix.
+
+    None where all states are measured, of `measured`, or the observer is not linear.
+    """
+    if measured >= c.plant.order:
+        return None
+    observer = observer_of(c)
+    return type(observer).linear(observer.omega, c.loop.period)
+
+
 def sensor_noise(c: Configuration, resolution: float) -> float:
     """Return σ of what the velocity is observed from, noise and steps [unit of x^(n−2)]."""
     steps = resolution / math.sqrt(12.0) if c.plant.order == 2 else 0.0
@@ -102,8 +113,14 @@ def check_observer(c: Configuration, measured: int,
     passes = weight + noise_gain(own)
     low, high = (spectral_radius(model, period, beta, delay, own) for beta in betas)
     tried = [(float(rate), linear(float(rate))) for rate in _GRID]
-    calm = [rate for rate, item in tried
-            if spectral_radius(model, period, betas[1], delay, item) < 1.0]
+
+    def calm_with(*delays: int) -> list[float]:
+        return [rate for rate, item in tried if all(
+            spectral_radius(model, period, beta, late, item) < 1.0
+            for beta in betas for late in delays)]
+
+    # A rate that is calm without delay alone is none to propose: real loops have a sample of it.
+    calm = calm_with(*{delay, max(delay, 1)}) or calm_with(delay)
     quiet = [rate for rate, item in tried if sigma * (weight + noise_gain(item)) <= room]
     numbers = {'omega': omega, 'noise_gain': passes, 'noise': sigma, 'radius': high,
                'noise_limit': room / passes}

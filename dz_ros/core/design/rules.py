@@ -24,8 +24,18 @@ from dz_ros.core.design.boundary_layer import chatter_limit
 from dz_ros.core.design.command_steps import check_command_steps
 from dz_ros.core.design.finding import ERROR, Finding, INFO, WARNING
 from dz_ros.core.design.guard_noise import check_guard
-from dz_ros.core.design.linear_loop import largest_beta, largest_gain, spectral_radius
-from dz_ros.core.design.observation import check_observer, measured_steps, state_noise
+from dz_ros.core.design.linear_loop import (
+    largest_beta,
+    largest_gain,
+    LinearObserver,
+    spectral_radius,
+)
+from dz_ros.core.design.observation import (
+    check_observer,
+    linear_observer,
+    measured_steps,
+    state_noise,
+)
 from dz_ros.core.design.robust_gain import RobustGain
 from dz_ros.core.laws.base import Design
 from dz_ros.core.tracking import guaranteed_bounds
@@ -63,7 +73,8 @@ def check(configuration: Configuration, disturbance: float | None = None,
         disturbance = disturbance_along_reference(c)
     driver = c.make_driver()
     findings += [*check_projection(c, design), *_robust_gain(c, design, disturbance),
-                 *_target(c, design), *_chatter(c, design, complaints),
+                 *_target(c, design),
+                 *_chatter(c, design, complaints, linear_observer(c, driver.measured)),
                  *check_observer(c, driver.measured, driver.resolution),
                  *check_guard(c, driver.measured, measured_steps(driver)),
                  *check_command_steps(c, getattr(driver, 'command_resolution', 0.0),
@@ -109,8 +120,12 @@ def _target(c: Configuration, design: Design) -> Iterator[Finding]:
                   {f'x{i}': bound for i, bound in enumerate(bounds)})
 
 
-def _chatter(c: Configuration, design: Design, complaints: bool) -> Iterator[Finding]:
-    """B m against its limit, for the delays a loop may have and the one configured."""
+def _chatter(c: Configuration, design: Design, complaints: bool,
+             observer: LinearObserver | None) -> Iterator[Finding]:
+    """B m against its limit, for the delays a loop may have and the one configured.
+
+    `observer`: that of the velocity, where it is observed by a linear one.
+    """
     known, period = c.controller_settings, c.loop.period
     betas = tuple(b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
     law, model = c.law, c.law.layer_model()
@@ -119,15 +134,15 @@ def _chatter(c: Configuration, design: Design, complaints: bool) -> Iterator[Fin
     for delay in sorted({*DELAYS, c.loop.delay}):
         unlikely = delay > 1 and delay != c.loop.delay      # never more than a note
         if complaints and (unlikely or all(
-                spectral_radius(model, period, beta, delay) < 1.0 for beta in betas)):
+                spectral_radius(model, period, beta, delay, observer) < 1.0 for beta in betas)):
             continue
-        largest = largest_beta(model, period, delay)
+        largest = largest_beta(model, period, delay, observer)
         low, high = (beta / largest if largest > 0.0 else math.inf for beta in betas)
         numbers = {'delay': float(delay), 'share_low': low, 'share_high': high,
                    'largest_beta': largest}
         words = (f'delay {delay}: b m is {low:.2f} to {high:.2f} of where chatter begins'
                  if largest > 0.0 else f'delay {delay}: K is too high at any input gain')
-        steepest = largest_gain(law.layer_model, period, betas[1], delay)
+        steepest = largest_gain(law.layer_model, period, betas[1], delay, observer)
         numbers['largest_gain'] = steepest
         if design.epsilon > 0.0 and design.k > 0.0:
             k_d = design.gain - design.k / design.epsilon
@@ -144,7 +159,8 @@ def _chatter(c: Configuration, design: Design, complaints: bool) -> Iterator[Fin
         own = delay == c.loop.delay
         level = INFO
         if high >= 1.0:
-            level = ERROR if own and low >= 1.0 else WARNING if own or delay <= 1 else INFO
+            certain = own and low >= 1.0 and observer is None
+            level = ERROR if certain else WARNING if own or delay <= 1 else INFO
             words += ': chatters' + (' where b m is large' if low < 1.0 else ' for certain')
         yield Finding(level, 'chatter', words, numbers, '' if level == INFO else change)
 

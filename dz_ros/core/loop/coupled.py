@@ -29,10 +29,14 @@ from dz_ros.core.tracking import shown_position
 Numbers = Sequence[float]
 
 
+def knows_others(configuration: Configuration) -> bool:
+    """Return whether plant or law of an axis depend on the other axes."""
+    return isinstance(configuration.plant, CoupledPlant) or configuration.law.coupled
+
+
 def is_coupled(configuration: Configuration) -> bool:
     """Return whether the axes cannot be computed one after the other."""
-    return bool(configuration.axes) and (isinstance(configuration.plant, CoupledPlant)
-                                         or configuration.law.coupled)
+    return bool(configuration.axes) and knows_others(configuration)
 
 
 def simulate_axes(configuration: Configuration,

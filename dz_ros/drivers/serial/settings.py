@@ -94,7 +94,7 @@ def check_device(axes: Mapping[str, Configuration]) -> None:
                 raise ConfigurationError(own(f'driver.{key}'), getattr(p, key), 'must be '
                                          f'{getattr(shared, key)}, as of axis {first} at the '
                                          f'same {at_port}')
-        if motor >= len(axes):
+        if name and motor >= len(axes):     # one made alone is asked, `open` refuses it
             raise ConfigurationError(own('driver.motor'), motor, f'must be below {len(axes)}, the '
                                      f'number of axes at {at_port} and of its motors')
         if motor in owners:
