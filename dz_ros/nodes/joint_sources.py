@@ -4,8 +4,8 @@
 Several broadcasters may share `/joint_states`, each with joints of its own. Two that publish
 states of one joint (a `joint_state_publisher` beside the broadcaster) must not be mixed: their
 messages are two streams. A stream goes on where the middleware's number of the publication goes up
-by a little; where the middleware has none, where the message has the same fields and a later
-stamp.
+by a little, by one where the fields change; where the middleware has none, where the message has
+the same fields and a later stamp.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class Stream:
         """Return whether a message can be its next."""
         if numbered != self.numbered:
             return False
-        if numbered:
-            return 0 < number - self.number <= JUMP
+        if numbered:        # the very next one may have its joints in another order
+            return 0 < number - self.number <= (JUMP if form == self.form else 1)
         return form == self.form and (number >= self.number or number == 0)
 
 

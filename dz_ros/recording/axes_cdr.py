@@ -24,6 +24,7 @@ from dz_ros.recording.cdr import (
     ANOTHER_NUMBER,
     ArrayCodec,
     Body,
+    dimension_count,
     LARGEST_ARRAY,
     MAX_LABEL,
     MAX_LABELS,
@@ -154,7 +155,8 @@ def decode_axes(payload: bytes) -> tuple[tuple[str, ...], tuple[str, ...], tuple
         raise MessageError(f'an array message of {len(payload)} bytes, at most {LARGEST_ARRAY} '
                            'are read')
     body = Body(payload)
-    dimensions = [(body.text(), body.number(), body.number()) for _ in range(body.number())]
+    dimensions = [(body.text(), body.number(), body.number())
+                  for _ in range(dimension_count(body))]
     offset = body.number()
     values = body.doubles(body.number())
     body.finish()

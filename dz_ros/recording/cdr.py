@@ -34,6 +34,8 @@ HEADER = len(LITTLE_ENDIAN)
 LARGEST_ARRAY = 2**20
 """Larger arrays are none of ours [bytes]."""
 _pack_time = struct.Struct(f'<{HEADER}siI').pack
+MAX_DIMENSIONS = 8
+"""Dimensions of an array that is read, whatever it holds."""
 MAX_LABELS, MAX_LABEL = 4096, 128
 """Numbers of a message that have names, and characters of a name, at most."""
 ANOTHER_NUMBER = 'another number of axes'
@@ -167,7 +169,7 @@ def decode_array(payload: bytes) -> tuple[tuple[str, ...], tuple[float, ...]]:
         raise MessageError(f'an array message of {len(payload)} bytes, at most {LARGEST_ARRAY} '
                            'are read')
     body = Body(payload)
-    dimensions = body.number()
+    dimensions = dimension_count(body)
     label, size = '', -1
     for _ in range(dimensions):
         label, size, _ = body.text(), body.number(), body.number()     # stride
@@ -180,6 +182,18 @@ def decode_array(payload: bytes) -> tuple[tuple[str, ...], tuple[float, ...]]:
         if len(labels) == len(values) and all(0 < len(item) <= MAX_LABEL for item in labels):
             return labels, values
     return (), values
+
+
+def dimension_count(body: Body) -> int:
+    """Read how many dimensions an array has.
+
+    Raises:
+        MessageError: More than are read: each takes time, however short it is.
+    """
+    count = body.number()
+    if count > MAX_DIMENSIONS:
+        raise MessageError(f'an array of {count} dimensions, at most {MAX_DIMENSIONS} are read')
+    return count
 
 
 def encode_string(text: str) -> bytes:

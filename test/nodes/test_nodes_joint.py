@@ -121,6 +121,15 @@ def test_publishers_are_distinguished_by_their_count_and_not_mixed():
     assert not sources.mixed(5.2)
 
 
+@pytest.mark.parametrize('ahead', [2, 50, 300, 900])
+def test_a_publisher_of_another_form_is_not_taken_whatever_its_count(ahead):
+    sources = JointSources(memory=5.0)
+    assert all(sources.take('a', number, 0, 0.002 * number) for number in range(1, 50))
+    assert not sources.take('b', 49 + ahead, 0, 0.099)
+    assert sources.take('a', 50, 0, 0.1)
+    assert sources.mixed(0.1)
+
+
 def test_a_publisher_that_was_started_again_takes_its_own_place():
     sources = JointSources(memory=5.0)
     assert all(sources.take('a', 1000 + k, 0, 0.002 * k) for k in range(10))

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 
 from dz_ros.errors import MessageError
+from dz_ros.recording.axes_cdr import AxesCodec, decode_axes
 from dz_ros.recording.cdr import (
     ArrayCodec,
+    Body,
     decode_array,
     decode_string,
     encode_clock,
@@ -245,3 +247,16 @@ def test_rclpy_bare_array():
         labels, found = decode_array(theirs)
         assert labels == ()
         assert bits(found) == bits(values)
+
+
+@pytest.mark.parametrize('decode', [decode_array, decode_axes, ArrayCodec(('seq', 'v')).decode,
+                                    AxesCodec(('seq', 'v'), ('x', 'y')).decode])
+def test_dimensions_without_end_are_refused_before_they_are_read(decode, monkeypatch):
+    """The ends of a loop decode in its thread: what they read does not grow with the message."""
+    payload = (b'\0\1\0\0' + struct.pack('<I', 60_000)
+               + struct.pack('<I4sII', 1, b'', 0, 0) * 60_000 + struct.pack('<II', 0, 0))
+    read = []
+    monkeypatch.setattr(Body, 'text', lambda _self: read.append(1) or '')
+    with pytest.raises(MessageError, match='an array of 60000 dimensions, at most 8 are read'):
+        decode(payload)
+    assert not read
