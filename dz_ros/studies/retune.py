@@ -32,6 +32,7 @@ import numpy as np
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.linear_loop import largest_beta, spectral_radius
+from dz_ros.core.design.observation import linear_observer
 from dz_ros.core.design.stability import run_is_lost
 from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.core.schema import fields, to_dict
@@ -210,9 +211,7 @@ def evaluate(entrant: Entrant, gains: Mapping[str, float], conditions: Condition
              seed: int) -> Found:
     """Return a law with these gains, run under the conditions; margins are left out."""
     scores, errors, peak, most = [], {}, 0.0, 0.0
-    base = conditions.base
-    law = Configuration.from_flat(dict(entrant.changes)).law
-    own = {'controller.law', *(f'controller.{item.name}' for item in fields(law.Gains))}
+    base, own = conditions.base, keys_of(entrant)
     for scenario in conditions.scenarios.values():
         allowed, limit = conditions.limits[scenario.name]
         rows = []
@@ -220,9 +219,7 @@ def evaluate(entrant: Entrant, gains: Mapping[str, float], conditions: Condition
             plate = min(allowed, member.get('plant.command_limit', allowed))
             changes = {**entrant.changes, **member, **gains, 'controller.v_max': plate,
                        'controller.v_clip': plate}
-            # Looking for the owner of a key that the law lacks takes longer than the run.
-            rows.append(effort_of(base, {key: value for key, value in changes.items()
-                                         if key in own or not key.startswith('controller.')}))
+            rows.append(effort_of(base, of_the_law(own, changes)))
         score, errors[scenario.name] = score_of(rows, allowed, conditions.margin * limit)
         scores.append(score)
         peak = max([peak, *(row[2] if row else math.inf for row in rows)])
@@ -290,22 +287,46 @@ def search(entrant: Entrant, name: str, trial: Conditions, full: Conditions, see
         if best.score < BAD:
             break
     assert best is not None
-    beta, delay = margins(Configuration.from_flat({**base, **entrant.changes, **best.gains}))
+    beta, delay = margins(configured(entrant, best.gains, name, full))
     return replace(best, beta=beta, delay=delay, budget=budget)
 
 
+def configured(entrant: Entrant, gains: Mapping[str, float], name: str,
+               full: Conditions) -> Configuration:
+    """Return the loop of a search's gains, in its scenario where that is one."""
+    changes = full.scenarios[name].members[0] if name in full.scenarios else {}
+    return Configuration.from_changed(full.base, of_the_law(
+        keys_of(entrant), {**entrant.changes, **changes, **gains}))
+
+
+def keys_of(entrant: Entrant) -> set[str]:
+    """Return the keys of the controller that a law has."""
+    law = Configuration.from_flat(dict(entrant.changes)).law
+    return {'controller.law', *(f'controller.{item.name}' for item in fields(law.Gains))}
+
+
+def of_the_law(own: set[str], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return changes without what a law lacks: looking for its owner takes longer than a run."""
+    return {key: value for key, value in changes.items()
+            if key in own or not key.startswith('controller.')}
+
+
 def margins(c: Configuration) -> tuple[tuple[float, float], int]:
-    """Return the largest b m with a delay of 0 and 1, and the largest delay at b m = 1.25."""
+    """Return the largest b m with a delay of 0 and 1, and the largest delay at b m = 1.25.
+
+    Where the velocity is observed, its observer is part of the loop.
+    """
     try:
         model = c.law.layer_model()
     except (ConfigurationError, ArithmeticError):
         model = None
     if model is None:
         return (0.0, 0.0), -1
-    period = c.loop.period
-    delays = [d for d in range(MOST_DELAY + 1) if spectral_radius(model, period, 1.25, d) < 1.0]
-    return (largest_beta(model, period, 0), largest_beta(model, period, 1)), max(delays,
-                                                                                 default=-1)
+    period, observer = c.loop.period, linear_observer(c, c.make_driver().measured)
+    delays = [d for d in range(MOST_DELAY + 1)
+              if spectral_radius(model, period, 1.25, d, observer) < 1.0]
+    return (largest_beta(model, period, 0, observer),
+            largest_beta(model, period, 1, observer)), max(delays, default=-1)
 
 
 def read(path: Path) -> dict[tuple[str, str, int], Found]:

@@ -51,8 +51,8 @@ def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
     assert np.all(command['hold'][answers] > 0.0)
     assert terms['theta1'][0] == 0.85
     offline = simulate(Configuration.from_flat({'loop.duration': 6.0}))
-    error = state['x0'][-1] - 2.5 * np.sin(6.0)
-    assert abs(error) < abs(offline.x[0, 0]) / 25
+    errors = np.abs(state['x0'] - 2.5 * np.sin(state['stamp']))[-200:]
+    assert np.median(errors) < abs(offline.x[0, 0]) / 25       # a stall may be among them
     assert data.configuration['controller.k_star'] == 2.5
     assert data.info['mode'] == 'realtime'
     assert 'Traceback' not in run.output

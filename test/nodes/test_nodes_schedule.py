@@ -114,15 +114,20 @@ def test_law_and_dead_zone_follow_a_topic_of_another_process(processes, watcher,
     command, truth = data.channels['command'], data.channels['truth']
     checked = 0
     assert {value for value, _, _ in voltage.spans} == {20.0, 12.0, 14.0, 99.0}
+    outputs = np.unique(np.round(command['v'])).tolist()
     for value, first, last in voltage.spans:
-        numbers = c.dead_zone.numbers(Schedule((0.0,), (min(value, 20.0),)))
-        possible = np.array([dead_zone(v, 0.0, numbers)
-                             for v in np.unique(np.round(command['v'])).tolist()])
         w = truth['w'][(truth['seq'] >= first) & (truth['seq'] <= last)]
         w = w[w != 0.0]
         checked += len(w)
-        # every output is that of some whole microsecond by the tables of this voltage
-        assert np.abs(w[:, None] - possible).min(axis=1).max(initial=0.0) < 1e-9, value
+        # Outputs are those of whole microseconds by the tables of this voltage, and of no other;
+        # but for those of a ramp to the safe command and back, where the machine stalled.
+        share = {}
+        for other in (12.0, 14.0, 20.0):
+            numbers = c.dead_zone.numbers(Schedule((0.0,), (other,)))
+            possible = np.array([dead_zone(v, 0.0, numbers) for v in outputs])
+            share[other] = np.mean(np.abs(w[:, None] - possible).min(axis=1) < 1e-9)
+        assert len(w) == 0 or share[min(value, 20.0)] > 0.5, (value, share)
+        assert len(w) == 0 or sorted(share.values())[-2] < 0.5, (value, share)
     assert checked > 100
     result = audit(data)
     assert result.passed, result

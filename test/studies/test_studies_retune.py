@@ -14,6 +14,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws import LAWS
 from dz_ros.core.schema import fields
 from dz_ros.errors import ConfigurationError
+from dz_ros.files.configurations import load_configuration
 from dz_ros.studies.entrants import entrants
 from dz_ros.studies.outcome import row_of
 from dz_ros.studies.retune import (
@@ -160,6 +161,12 @@ def test_margins_are_those_of_the_matrix():
     assert (free, late) == (pytest.approx(4.44, abs=0.02), pytest.approx(2.08, abs=0.02))
     assert delay == 1
     assert margins(Configuration.from_flat({'controller.law': 'neural'}))[1] >= -1
+
+
+def test_margins_have_the_observer_of_the_velocity():
+    c = load_configuration('robust_eso', ['driver.measured=1'])
+    (_, late), _ = margins(c)
+    assert late == pytest.approx(1.034, abs=0.002)
 
 
 def test_verb_prints_both_tables(tmp_path, capsys):
