@@ -156,15 +156,13 @@ class Serial(Driver):
         """Find the device, greet it, take its limits and units.
 
         Raises:
-            DriverError: It is not there, measures less than is needed, or the motor is one of
-                several and this driver was made without those of the others.
+            DriverError: It is not there, or has too few values or motors.
             MissingDependencyError: pyserial is not installed.
         """
-        p = self.parameters
-        if p.motor >= len(self._board.motors):
-            raise DriverError(f'driver.motor = {p.motor}: must be below '
-                              f'{len(self._board.motors)}, the number of axes at driver.port = '
-                              f'{p.port!r} and of its motors')
+        p, count = self.parameters, len(self._board.motors)
+        if p.motor >= count:
+            raise DriverError(f'driver.motor = {p.motor}: must be below {count}, the number of '
+                              f'axes at driver.port = {p.port!r} and of its motors')
         info = self._board.open(self.motor)
         if info.values < self.measured:
             raise DriverError(f'{p.port}: {info.name!r} measures {info.values} of the '
