@@ -31,7 +31,7 @@ test:  ## all tests, TEST_JOBS (3) at a time, in half an hour on two cores
 	$(environment) ros test numba
 	$(bin)/python -m pytest -n $(TEST_JOBS) --dist loadgroup --durations=40 --durations-min=3 $(PYTEST_ARGS)
 
-test-quick:  ## in a minute: what needs no ROS process, no browser and no long computing
+test-quick:  ## in five minutes on two cores: what needs no ROS process, no browser and no long computing
 	$(environment) ros test numba
 	$(bin)/python -m pytest -n $(QUICK_JOBS) --dist loadgroup -m 'not ros and not live and not slow' \
 	  --hypothesis-profile=quick $(PYTEST_ARGS)
