@@ -243,6 +243,8 @@ def test_the_limit_of_chatter_has_the_observer_in_its_loop():
     assert measured.numbers['largest_beta'] == pytest.approx(2.087, abs=0.002)
     assert observed.level == WARNING
     assert observed.numbers['largest_beta'] == pytest.approx(1.034, abs=0.002)
+    assert 'raise driver.observer' in observed.change
+    assert limit(**{'driver.measured': 1, 'driver.observer': 260}).level == INFO      # it helps
 
 
 @pytest.mark.parametrize('delay', [0, 1])

@@ -142,9 +142,12 @@ def _chatter(c: Configuration, design: Design, complaints: bool,
                    'largest_beta': largest}
         words = (f'delay {delay}: b m is {low:.2f} to {high:.2f} of where chatter begins'
                  if largest > 0.0 else f'delay {delay}: K is too high at any input gain')
-        steepest = largest_gain(law.layer_model, period, betas[1], delay, observer)
-        numbers['largest_gain'] = steepest
-        if design.epsilon > 0.0 and design.k > 0.0:
+        # A rate by the rule falls with K: with an observer it, not K, is what can be raised.
+        steepest = 0.0
+        if observer is None:
+            steepest = numbers['largest_gain'] = largest_gain(law.layer_model, period, betas[1],
+                                                              delay)
+        if observer is None and design.epsilon > 0.0 and design.k > 0.0:
             k_d = design.gain - design.k / design.epsilon
             smallest = (design.k / (steepest - k_d)
                         if steepest > max(k_d, design.least_gain) else math.inf)
@@ -155,7 +158,9 @@ def _chatter(c: Configuration, design: Design, complaints: bool,
                 if margin is not None:
                     numbers['largest_margin'] = margin
                     words += f', controller.margin = {margin:.3g}' if margin <= 1.0 else ''
-        change = _calmer(c, delay, numbers)
+        change = _calmer(c, delay, numbers) if observer is None else (
+            'raise driver.observer, as far as its own rule leaves the layer room, or measure the '
+            'velocity')
         own = delay == c.loop.delay
         level = INFO
         if high >= 1.0:
