@@ -26,6 +26,16 @@ from dz_ros.core.safety.supervisor import Supervisor
 T = 0.005
 
 
+@pytest.fixture
+def started():
+    """Return configuration and guard of an active controller in real time."""
+    c = Configuration.from_flat({'loop.timing': 'realtime'})
+    guard = ControllerGuard(c)
+    guard.supervisor.transition('configure')
+    guard.supervisor.transition('activate')
+    return c, guard
+
+
 # --- the tables
 
 @pytest.mark.parametrize('mode', Mode)
@@ -179,6 +189,33 @@ def test_a_stamp_from_the_future_is_one_ahead_of_the_quickest_transport():
     assert not guard.ahead(-3600.0, 5.2, 0.015)
 
 
+def test_stamps_ahead_that_agree_show_that_the_one_before_was_late():
+    """The plant measured, stalled for .1 s, sent, and left out the samples it had missed."""
+    guard = FutureGuard()
+    assert not guard.ahead(0.045, 0.145, 0.015)
+    assert guard.ahead(0.140, 0.146, 0.015)
+    assert not guard.ahead(0.145, 0.150, 0.015)
+    assert not guard.ahead(0.150, 0.155, 0.015)
+    assert guard.ahead(0.200, 0.160, 0.015)             # alone: it is the faulty one
+    assert not guard.ahead(0.165, 0.170, 0.015)
+    assert guard.ahead(0.210, 0.171, 0.015)
+    assert guard.ahead(9.0, 0.172, 0.015)               # nor do these two agree
+
+
+def test_a_late_state_does_not_turn_the_following_ones_away(started):
+    c, guard = started
+    numbers = [(5.0, 0.045, 0.145), *((6.0 + i, 0.140 + i * T, 0.146 + i * T) for i in range(20))]
+    for seq, stamp, now in numbers:
+        guard.reference((seq, stamp, *c.trajectory(stamp)), now)
+        state = guard.take((seq, stamp, *c.x0, -1.0, 0.0, 0.0), now)
+        assert (state is None) == (seq == 6.0)
+        if state is not None:
+            guard.answer(state, now)
+        guard.poll(now + T)
+        assert guard.supervisor.running
+    assert guard.state_guard.rejected() == {'stamp from the future': 1}
+
+
 # --- numbers of any origin
 
 ODD = st.floats() | st.sampled_from([0.0, 1.0, 2.0, 0.5, -1.0, 1e308, 2.0 ** 53, 1e9, 1e10])
@@ -214,11 +251,8 @@ def test_numbers_that_are_no_record_are_counted_by_cause(numbers, reason):
     assert guard.rejected() == {reason: 2}
 
 
-def test_a_reference_from_the_future_is_not_followed():
-    c = Configuration.from_flat({'loop.timing': 'realtime'})
-    guard = ControllerGuard(c)
-    guard.supervisor.transition('configure')
-    guard.supervisor.transition('activate')
+def test_a_reference_from_the_future_is_not_followed(started):
+    c, guard = started
     guard.reference((0.0, 1e8, 1.0, 0.0, 0.0), 0.0)
     state = guard.take((0.0, 0.0, *c.x0, -1.0, 0.0, 0.0), 0.0)
     assert not guard.ready(state)       # the one for now was not sent

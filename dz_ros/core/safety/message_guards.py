@@ -200,21 +200,25 @@ class FutureGuard:
     """Whether a stamp of another clock runs ahead of this one.
 
     The smallest difference ever seen between arrival and stamp is the quickest transport. A stamp
-    that is ahead of that by more than the tolerance comes from the future. A message must not be
-    judged twice.
+    that is ahead of that by more than the tolerance comes from the future, but where the next one
+    confirms it, the earlier ones came late: their sender had stalled. A message must not be judged
+    twice.
     """
 
     def __init__(self) -> None:
-        self._offset = math.inf
+        self.restart()
 
     def restart(self) -> None:
         """Forget the other clock."""
-        self._offset = math.inf
+        self._offset = self._refused = math.inf
 
     def ahead(self, stamp: float, now: float, tolerance: float) -> bool:
         """Return whether the stamp lies in the future by more than the tolerance [s]."""
         offset = now - stamp
         if 0.0 < tolerance < self._offset - offset < math.inf:
-            return True
-        self._offset = min(self._offset, offset)
+            confirmed = abs(offset - self._refused) <= tolerance
+            self._refused = offset
+            if not confirmed:
+                return True
+        self._offset, self._refused = min(self._offset, offset), math.inf
         return False
