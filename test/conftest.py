@@ -388,6 +388,12 @@ PATIENT = ('loop.rate=100', 'safety.state_hold=200', 'safety.command_hold=100',
 
 
 @pytest.fixture
+def patient():
+    """Return the words by which `dz run` holds as long as a busy machine needs."""
+    return tuple(word for text in PATIENT[1:] for word in ('--set', text))
+
+
+@pytest.fixture
 def serial_settings(serial_device):
     """Start a device on a serial line; return the settings of a patient loop with it."""
     pytest.importorskip('serial', reason='pyserial is not installed')

@@ -143,9 +143,9 @@ def test_mistakes_are_one_line(recorded, capsys, words):
 @pytest.mark.ros
 @pytest.mark.skipif(find_spec('rclpy') is None, reason='rclpy is not installed')
 @pytest.mark.parametrize('mode', [[], ['--lockstep']], ids=['realtime', 'lockstep'])
-def test_live_loops(ros_domain, processes, tmp_path, mode):
+def test_live_loops(ros_domain, processes, tmp_path, patient, mode):
     run = tmp_path / 'run'
-    loop = processes('-m', 'dz_ros', 'run', '--quiet', '--duration', '2', *mode,
+    loop = processes('-m', 'dz_ros', 'run', '--quiet', '--duration', '2', *mode, *patient,
                      '--record', str(run))
     assert loop.wait(90.0) == 0, loop.output
     judge = processes('-m', 'dz_ros', 'bag', 'audit', str(run))

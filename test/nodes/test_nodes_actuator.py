@@ -254,12 +254,12 @@ REAL = ('from dz_ros.drivers.simulated import SimulatedActuator\n\n\n'
         '    name = "real"\n    summary = "as a real one: no truth"\n    lockstep = False\n')
 
 
-def test_a_run_is_read_where_its_driver_is_not_installed(processes, tmp_path):
+def test_a_run_is_read_where_its_driver_is_not_installed(processes, tmp_path, patient):
     (tmp_path / 'real_driver.py').write_text(REAL, encoding='utf-8')
     path = os.pathsep.join([str(ROOT), str(tmp_path)])
     run = tmp_path / 'run'
-    done = processes(*DZ, 'run', 'servo', '--duration', '3', '--quiet', '--set',
-                     'driver.name=real_driver:Real', '--record', run, PYTHONPATH=path)
+    done = processes(*DZ, 'run', 'servo', *patient, '--duration', '3', '--quiet',
+                     '--set', 'driver.name=real_driver:Real', '--record', run, PYTHONPATH=path)
     assert done.wait() == 0, done.output
     (tmp_path / 'real_driver.py').unlink()
     data = read_run(run)

@@ -40,8 +40,8 @@ def set_parameters(**values):
         context.shutdown()
 
 
-def test_live_gain_changes_are_followed_by_the_audit(processes, tmp_path):
-    run = processes('-m', 'dz_ros', 'run', 'wang2004', '--duration', '0', '--record',
+def test_live_gain_changes_are_followed_by_the_audit(processes, tmp_path, patient):
+    run = processes('-m', 'dz_ros', 'run', 'wang2004', *patient, '--duration', '0', '--record',
                     tmp_path / 'run')
     run.wait_for_line(PROGRESS)
     assert set_parameters(k_d=14.0, gamma=-1.0) == [True, False]
@@ -55,11 +55,10 @@ def test_live_gain_changes_are_followed_by_the_audit(processes, tmp_path):
     assert len(result.spans) >= 3      # one more wherever the loop had to take over again
 
 
-def test_samples_without_a_measurement_are_no_missing_messages(processes, tmp_path):
+def test_samples_without_a_measurement_are_no_missing_messages(processes, tmp_path, patient):
     script = '["100-101 none", "150 none", "200-260 none"]'
     run = processes('-m', 'dz_ros', 'run', 'servo', '--duration', '2', '--set', 'driver.name=mock',
-                    '--set', f'driver.script={script}', '--set', 'safety.state_hold=200',
-                    '--set', 'safety.error_limit=0', '--set', 'safety.echo_limit=200',
+                    '--set', f'driver.script={script}', *patient, '--set', 'safety.error_limit=0',
                     '--record', tmp_path / 'run')
     assert run.wait() == 0, run.output
     data = read_run(tmp_path / 'run')

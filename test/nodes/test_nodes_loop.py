@@ -26,8 +26,9 @@ NODE = ('-m', 'dz_ros.nodes.main')
 CONFIG = Path(__file__).parents[2] / 'config'
 
 
-def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path):
-    run = processes(*DZ, 'run', 'wang2004', '--duration', '6', '--record', tmp_path / 'run')
+def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path, patient):
+    run = processes(*DZ, 'run', 'wang2004', *patient, '--duration', '6', '--record',
+                    tmp_path / 'run')
     assert run.wait() == 0, run.output
     data = read_run(tmp_path / 'run')
     state, command, terms = (data.channels[name] for name in ('state', 'command', 'terms'))
@@ -141,8 +142,8 @@ def test_lockstep_meets_the_reference_run(processes, samples, tmp_path):
     assert np.abs(estimates - expected[:, 5:8]).max() <= 1e-10
 
 
-def test_ctrl_c_ends_everything_in_order_without_a_traceback(processes, tmp_path):
-    run = processes(*DZ, 'run', '--duration', '600', '--record', tmp_path / 'run')
+def test_ctrl_c_ends_everything_in_order_without_a_traceback(processes, tmp_path, patient):
+    run = processes(*DZ, 'run', *patient, '--duration', '600', '--record', tmp_path / 'run')
     run.wait_for_line('v ')
     run.signal(signal.SIGINT)
     run.signal(signal.SIGINT)
@@ -154,8 +155,9 @@ def test_ctrl_c_ends_everything_in_order_without_a_traceback(processes, tmp_path
 
 
 @pytest.mark.parametrize('line', ['', 'ready'])
-def test_ctrl_c_while_the_nodes_are_starting_is_as_orderly(processes, children, tmp_path, line):
-    run = processes(*DZ, 'run', '--duration', '600', '--record', tmp_path / 'run')
+def test_ctrl_c_while_the_nodes_are_starting_is_as_orderly(processes, children, tmp_path,
+                                                               patient, line):
+    run = processes(*DZ, 'run', *patient, '--duration', '600', '--record', tmp_path / 'run')
     nodes = children(run, 1 if line == '' else 4)
     run.signal(signal.SIGINT)
     assert run.wait() == 130, run.output
@@ -165,8 +167,8 @@ def test_ctrl_c_while_the_nodes_are_starting_is_as_orderly(processes, children, 
 
 
 @pytest.mark.parametrize('number', [signal.SIGKILL, signal.SIGHUP])
-def test_no_node_outlives_dz_run(processes, children, tmp_path, number):
-    run = processes(*DZ, 'run', '--duration', '0', '--record', tmp_path / 'run')
+def test_no_node_outlives_dz_run(processes, children, tmp_path, patient, number):
+    run = processes(*DZ, 'run', *patient, '--duration', '0', '--record', tmp_path / 'run')
     run.wait_for_line('v ')
     nodes = children(run, 4)
     run.signal(number)
@@ -179,8 +181,9 @@ def test_no_node_outlives_dz_run(processes, children, tmp_path, number):
 
 
 @pytest.mark.parametrize('name', ['20261122', 'true', "a: b #it's"])
-def test_a_run_is_recorded_under_the_name_given(processes, tmp_path, name):
-    run = processes(*DZ, 'run', '--duration', '0.1', '--quiet', '--record', tmp_path / name)
+def test_a_run_is_recorded_under_the_name_given(processes, tmp_path, patient, name):
+    run = processes(*DZ, 'run', *patient, '--duration', '0.1', '--quiet', '--record',
+                    tmp_path / name)
     assert run.wait() == 0, run.output
     assert [item.name for item in tmp_path.iterdir()] == [name]
 
@@ -191,8 +194,8 @@ def test_a_plant_that_diverges_is_one_line(processes):
     assert 'Traceback' not in run.output
 
 
-def test_a_second_loop_is_refused_and_the_first_goes_on(processes, tmp_path):
-    first = processes(*DZ, 'run', '--duration', '0')
+def test_a_second_loop_is_refused_and_the_first_goes_on(processes, tmp_path, patient):
+    first = processes(*DZ, 'run', *patient, '--duration', '0')
     first.wait_for_line('v ')
     second = processes(*DZ, 'run', '--duration', '1', '--record', tmp_path / 'second')
     assert second.wait() == 2
@@ -200,13 +203,13 @@ def test_a_second_loop_is_refused_and_the_first_goes_on(processes, tmp_path):
     assert 'another loop' in second.output
     assert 'ROS_DOMAIN_ID' in second.output
     assert not (tmp_path / 'second').exists()
-    beside = processes(*DZ, 'run', '--duration', '1', '--namespace', '/left')
+    beside = processes(*DZ, 'run', *patient, '--duration', '1', '--namespace', '/left')
     assert beside.wait() == 0, beside.output
     assert first.interrupt() == 0, first.output
 
 
-def test_a_killed_node_is_named_and_the_recording_survives(processes, children, tmp_path):
-    run = processes(*DZ, 'run', '--duration', '600', '--record', tmp_path / 'run')
+def test_a_killed_node_is_named_and_the_recording_survives(processes, children, tmp_path, patient):
+    run = processes(*DZ, 'run', *patient, '--duration', '600', '--record', tmp_path / 'run')
     run.wait_for_line('v ')
     os.kill(children(run, 4)['controller_node'], signal.SIGKILL)
     assert run.wait() == 1

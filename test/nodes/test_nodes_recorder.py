@@ -170,7 +170,8 @@ def test_a_recorder_that_is_stopped_holds_up_neither_the_loop_nor_its_end(proces
 
 @pytest.mark.parametrize('target', ['/dev/full', 'a pipe without a reader'])
 def test_output_that_cannot_be_written_does_not_end_the_loop(processes, tmp_path, target):
-    words = shlex.join([*DZ, 'run', '--duration', '2', '--record', str(tmp_path / 'run')])
+    words = shlex.join([*DZ, 'run', *PATIENT, '--duration', '2', '--record',
+                        str(tmp_path / 'run')])
     end = '> /dev/full' if target == '/dev/full' else '| true'
     run = processes('sh', '-c', f'({words}; echo code $? >&2) {end}')
     run.wait()

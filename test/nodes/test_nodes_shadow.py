@@ -35,12 +35,12 @@ def test_a_live_controller_of_the_same_build_answers_alike(processes, samples, t
     assert all(name.startswith('/shadow/') for name in topics.topics)
 
 
-def test_a_live_controller_repeats_a_real_time_run_too(processes, tmp_path):
+def test_a_live_controller_repeats_a_real_time_run_too(processes, tmp_path, patient):
     # Fed in lockstep, a controller cannot know when a busy machine made the other one stop.
     off = [word for key in ('state_hold', 'reference_hold', 'echo_limit')
            for word in ('--set', f'safety.{key}=0')]
     recorded = processes('-m', 'dz_ros', 'run', '--duration', '3', '--quiet', '--namespace',
-                         'left', '--record', tmp_path / 'run', *off)
+                         'left', '--record', tmp_path / 'run', *patient, *off)
     assert recorded.wait() == 0, recorded.output
     shadow = processes(*DZ, tmp_path / 'run', '--into', 'controller', '--json')
     assert shadow.wait() == 0, shadow.output

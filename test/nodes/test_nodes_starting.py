@@ -59,8 +59,8 @@ def test_before_a_node_takes_signals_it_imports_next_to_nothing(processes):
 
 
 @pytest.mark.parametrize('pause', [0.0, 0.003])
-def test_further_signals_do_not_break_the_end_of_a_run(processes, tmp_path, pause):
-    run = processes(*DZ, 'run', '--duration', '0', '--record', tmp_path / 'run')
+def test_further_signals_do_not_break_the_end_of_a_run(processes, tmp_path, patient, pause):
+    run = processes(*DZ, 'run', *patient, '--duration', '0', '--record', tmp_path / 'run')
     run.wait_for_line('t  ')
     bombard(run, signal.SIGINT, pause)
     assert run.wait() == 0, run.output
@@ -88,8 +88,9 @@ def test_without_a_folder_for_log_files_a_node_reports_what_to_set_and_goes_on(p
 
 @pytest.mark.parametrize('words', [('run', '--duration', '0.5', '--quiet'), ('estop',),
                                    ('status', '--once')], ids=' '.join)
-def test_without_a_home_a_verb_does_its_work_and_reports_it_in_one_line(processes, words):
-    verb = processes(*DZ, *words, HOME=None, ROS_LOG_DIR=None)
+def test_without_a_home_a_verb_does_its_work_and_reports_it_in_one_line(processes, patient, words):
+    verb = processes(*DZ, *words, *(patient if words[0] == 'run' else ()), HOME=None,
+                     ROS_LOG_DIR=None)
     code = verb.wait()
     assert (code == 0) == (words[0] == 'run'), verb.output      # the others find no loop
     assert 'pressed on /estop' in verb.output or words[0] != 'estop'

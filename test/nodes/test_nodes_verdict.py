@@ -12,16 +12,12 @@ pytest.importorskip('rclpy', reason='needs rclpy')
 
 pytestmark = pytest.mark.ros
 DZ = ('-m', 'dz_ros')
-PATIENT = [word for key, value in {
-    'state_hold': 500, 'command_hold': 250, 'echo_limit': 500, 'fault_after': 5000}.items()
-    for word in ('--set', f'safety.{key}={value}')]
-"""A machine that others use as well stalls for longer than the defaults allow."""
 
 
 @pytest.fixture
-def run(processes, ros_domain):
+def run(processes, ros_domain, patient):
     def start(*words, script=()):
-        return processes(*DZ, 'run', 'servo', '--quiet', *PATIENT, '--set', 'driver.name=mock',
+        return processes(*DZ, 'run', 'servo', '--quiet', *patient, '--set', 'driver.name=mock',
                          '--set', f'driver.script={json.dumps(list(script))}', *map(str, words))
     return start
 
@@ -49,8 +45,9 @@ def test_a_planned_end_is_no_failure(run, tmp_path):
 
 
 @pytest.mark.parametrize('recorded', [False, True])
-def test_a_node_that_was_killed_fails_the_run(processes, children, ros_domain, tmp_path, recorded):
-    loop = processes(*DZ, 'run', 'servo', *PATIENT, '--duration', '600',
+def test_a_node_that_was_killed_fails_the_run(processes, children, ros_domain, tmp_path, patient,
+                                              recorded):
+    loop = processes(*DZ, 'run', 'servo', *patient, '--duration', '600',
                      *(('--record', tmp_path / 'run') if recorded else ()))
     found = children(loop, 3 + recorded)
     loop.wait_for_line(' s   error ')
@@ -60,8 +57,10 @@ def test_a_node_that_was_killed_fails_the_run(processes, children, ros_domain, t
     assert verdict.startswith('verdict: FAILED: trajectory_node failed (killed by SIGKILL)')
 
 
-def test_samples_that_the_recorder_lost_fail_the_run(processes, children, ros_domain, tmp_path):
-    loop = processes(*DZ, 'run', 'wang2004', *PATIENT, '--set', 'loop.rate=500',
+def test_samples_that_the_recorder_lost_fail_the_run(processes, children, ros_domain, tmp_path,
+                                                     patient):
+    loop = processes(*DZ, 'run', 'wang2004', *patient, '--set', 'loop.rate=500', '--set',
+                     'safety.state_hold=500', '--set', 'safety.command_hold=250',
                      '--duration', '600', '--record', tmp_path / 'run')
     recorder = children(loop, 4)['recorder_node']
     loop.wait_for_line(' s   error ')
