@@ -259,7 +259,16 @@ def test_one_call_finds_a_press_among_the_releases_of_a_stall(topic, before, aft
     for pressed in (*[False] * before, True, *[False] * after):
         press(pressed)
     assert topic.held_by() == []        # nothing was taken yet
-    assert len(topic.receive()) == 1
+    # It is acted on before the rest is read.
+    taken = []
+    counted = [lambda take=take: taken.append(take()) or taken[-1] for take in topic._takers]
+    topic._takers[:] = counted
+    acted = []
+    assert len(topic.receive(lambda: acted.append(len(taken)))) == 1
+    [place] = acted
+    assert taken[place - 1][2]
+    assert not any(item[2] for item in taken[:place - 1] if item)
+    assert len(taken) > 4000
     assert topic.receive() == set()
     assert topic.held_by() == ([] if after else ['/other'])
 

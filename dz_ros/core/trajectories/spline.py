@@ -5,7 +5,7 @@ Of all curves through (t_k, x_k) with x', …, x^(n) zero at both ends, the one 
 ∫ (x^(n+1))² dt; continuous through the derivative 2n.
 
 The unknowns are x', …, x^(n) at the inner points; that the derivatives n + 1 … 2n of neighbouring
-pieces agree there is a linear system of n × n blocks, three in a row, solved by elimination.
+pieces agree there is a linear system of n × n blocks, three in a row.
 """
 
 from __future__ import annotations
@@ -31,26 +31,47 @@ def spline(times: Sequence[float], positions: Sequence[float], order: int) -> Ar
     from_ends, at_start, at_end = _piece(n)
     values = np.zeros((len(t), n + 1))
     values[:, 0] = x
-    inner = len(t) - 2
-    diagonal, right, known = np.zeros((inner, n, n)), np.zeros((inner, n, n)), np.zeros((inner, n))
-    for k in range(inner):
-        before, after = powers[k], powers[k + 1]
-        ending = at_end / before[n + 1:, None]
-        starting = at_start / after[n + 1:, None]
-        same = (ending[:, n + 1:] * before[:n + 1] - starting[:, :n + 1] * after[:n + 1])
-        left = ending[:, :n + 1] * before[:n + 1]
-        onward = -starting[:, n + 1:] * after[:n + 1]
-        known[k] = -(left[:, 0] * x[k] + same[:, 0] * x[k + 1] + onward[:, 0] * x[k + 2])
-        diagonal[k], right[k] = same[:, 1:], onward[:, 1:]
-        if k > 0:
-            factor = np.linalg.solve(diagonal[k - 1].T, left[:, 1:].T).T
-            diagonal[k] -= factor @ right[k - 1]
-            known[k] -= factor @ known[k - 1]
-    for k in range(inner - 1, -1, -1):
-        rest = known[k] - right[k] @ values[k + 2, 1:]
-        values[k + 1, 1:] = np.linalg.solve(diagonal[k], rest)
+    before, after = powers[:-1, None], powers[1:, None]
+    ending = at_end / before[..., n + 1:].swapaxes(1, 2)
+    starting = at_start / after[..., n + 1:].swapaxes(1, 2)
+    left = ending[..., :n + 1] * before[..., :n + 1]
+    same = ending[..., n + 1:] * before[..., :n + 1] - starting[..., :n + 1] * after[..., :n + 1]
+    right = -starting[..., n + 1:] * after[..., :n + 1]
+    known = -(left[..., 0] * x[:-2, None] + same[..., 0] * x[1:-1, None]
+              + right[..., 0] * x[2:, None])
+    values[1:-1, 1:] = _three_in_a_row(left[..., 1:], same[..., 1:], right[..., 1:],
+                                       known[..., None])[..., 0]
     ends = np.hstack((values[:-1] * powers[:, :n + 1], values[1:] * powers[:, :n + 1]))
     return np.asarray(ends @ from_ends.T)
+
+
+def _three_in_a_row(left: Array, same: Array, right: Array, known: Array) -> Array:
+    """Return y with left_k y_{k−1} + same_k y_k + right_k y_{k+1} = known_k, by cyclic reduction.
+
+    Every other unknown is eliminated at once, and of what is left every other one again: some
+    steps on whole arrays in place of one for each point.
+
+    Args:
+        left, same, right: Shape (points, n, n); left_0 and the last right are not used.
+        known: Shape (points, n, 1).
+    """
+    if len(same) <= 1:
+        return np.linalg.solve(same, known)
+    odd = slice(1, None, 2)
+    solved = np.linalg.solve(same[::2], np.concatenate((left, right, known), axis=2)[::2])
+    n = same.shape[1]
+    if len(same) % 2 == 0:      # the last one has nobody behind it
+        solved = np.concatenate((solved, np.zeros((1, n, 2 * n + 1))))
+    ahead, behind = left[odd] @ solved[:-1], right[odd] @ solved[1:]
+    found = np.zeros(known.shape)
+    found[odd] = _three_in_a_row(-ahead[..., :n], same[odd] - ahead[..., n:-1] - behind[..., :n],
+                                 -behind[..., n:-1], known[odd] - ahead[..., -1:]
+                                 - behind[..., -1:])
+    around = np.concatenate((np.zeros((1, n, 1)), found[odd], np.zeros((1, n, 1))))
+    solved = solved[:len(found[::2])]
+    found[::2] = (solved[..., -1:] - solved[..., :n] @ around[:len(solved)]
+                  - solved[..., n:-1] @ around[1:len(solved) + 1])
+    return found
 
 
 def _piece(n: int) -> tuple[Array, Array, Array]:

@@ -142,8 +142,13 @@ class EstopTopic:
         """Press or release the e-stop as this node."""
         self.publisher.publish(Bool(data=pressed))
 
-    def receive(self) -> set[bytes | None]:
-        """Take all that has come; return the publishers of a press, None = not known."""
+    def receive(self, act: Callable[[], None] | None = None) -> set[bytes | None]:
+        """Take all that has come; return the publishers of a press, None = not known.
+
+        Args:
+            act: Called as soon as the first press is found: what else has come may be thousands
+                of messages, which take longer than a sample.
+        """
         pressed: set[bytes | None] = set()
         for take in self._takers:
             for _ in range(MAX_TAKEN):
@@ -152,6 +157,8 @@ class EstopTopic:
                     break
                 own = message[0] is not None and message[0] == self._own
                 if not own and self._presses.receive(*message):
+                    if act is not None and not pressed:
+                        act()
                     pressed.add(message[0])
         return pressed
 

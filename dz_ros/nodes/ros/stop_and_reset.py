@@ -42,7 +42,11 @@ class EndSafety:
 
     def receive_estop(self) -> None:
         """Stop at once where the e-stop was pressed since the last call."""
-        if self._estop.receive() and self._node.supervisor.mode is not Mode.ESTOP:
+        self._estop.receive(self._stop)
+
+    def _stop(self) -> None:
+        """Stop this end, unless it is."""
+        if self._node.supervisor.mode is not Mode.ESTOP:
             self._node.on_estop(True, 'e-stop by topic')
 
     def changed(self, change: Change) -> None:
