@@ -52,7 +52,9 @@ def _three_in_a_row(left: Array, same: Array, right: Array, known: Array) -> Arr
     steps on whole arrays in place of one for each point.
 
     Args:
-        left, same, right: Shape (points, n, n); left_0 and the last right are not used.
+        left: Shape (points, n, n); the first is not used.
+        same: Shape (points, n, n).
+        right: Shape (points, n, n); the last is not used.
         known: Shape (points, n, 1).
     """
     if len(same) <= 1:
