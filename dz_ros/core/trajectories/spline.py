@@ -58,7 +58,7 @@ def _three_in_a_row(left: Array, same: Array, right: Array, known: Array) -> Arr
         known: Shape (points, n, 1).
     """
     if len(same) <= 1:
-        return np.linalg.solve(same, known)
+        return np.asarray(np.linalg.solve(same, known))
     odd = slice(1, None, 2)
     solved = np.linalg.solve(same[::2], np.concatenate((left, right, known), axis=2)[::2])
     n = same.shape[1]
