@@ -103,7 +103,7 @@ def freeze(name: str, seconds: float) -> Callable[[Loop], None]:
 def messages(kind: str) -> Callable[[Loop], None]:
     """Send bad commands and states beside the good ones, 200 of each."""
     def inject(loop: Loop) -> None:
-        for _ in range(200):
+        for count in range(200):
             for topic in ('command', 'state'):
                 row = loop.heard[topic][-1][1]
                 labels = Command.labels() if topic == 'command' else State.labels(len(row) - 5)
@@ -112,11 +112,37 @@ def messages(kind: str) -> Callable[[Loop], None]:
                     numbers[2] = math.nan if kind == 'nan' else math.inf
                 elif kind == 'truncated':
                     numbers = numbers[:2]
+                elif kind == 'out-of-range':    # seq, stamp, echo_seq by turns
+                    echo = labels.index('echo_seq')
+                    place = (0, 1, echo)[count % 3]
+                    numbers[place] = (1e308, 2.0 ** 53, -1e12 if place == 1 else
+                                      numbers[0] + 0.5)[count // 3 % 3]
                 else:
                     labels = ('v', *labels[1:])
                 loop.send(topic, numbers, labels)
             time.sleep(0.005)
     return inject
+
+
+def early_references(loop: Loop) -> None:
+    """Send references of a later time, 200 of them."""
+    for count in range(200):
+        seq, stamp = loop.heard['state'][-1][1][:2]
+        loop.send('reference', (seq + 2.0, stamp + 10.0 ** (1 + count % 8), 50.0, 0.0, 0.0))
+        time.sleep(0.005)
+
+
+def hostile_text(loop: Loop) -> None:
+    """Send events that are no events, and terms of 20 000 names."""
+    names = tuple(f'n{k}' for k in range(20_000))
+    loop.send('terms', (0.0,) * len(names), names)
+    for text in ('[' * 100_000, '{"ends": ' + '[' * 100_000, '{"event": "stopped", "ends": 7}',
+                 '{"event": "mode", "node": [], "mode": {}}', '{"ends": "state", "event": 1e999}',
+                 '\x00"ends"', 'x' * 1_000_000):
+        for _ in range(20):
+            loop.send_event(text)
+            time.sleep(0.01)
+        loop.send('terms', (0.0,) * len(names), names)
 
 
 def two_controllers(loop: Loop) -> None:
@@ -472,7 +498,9 @@ CASES = (
       for name in ('plant_node', 'controller_node', 'trajectory_node')
       for seconds in (0.05, 0.5, 5.0)),
     *(Case(f'{kind} messages', RIDE, messages(kind))
-      for kind in ('nan', 'inf', 'truncated', 'mislabelled')),
+      for kind in ('nan', 'inf', 'truncated', 'mislabelled', 'out-of-range')),
+    Case('references of a later time', RIDE, early_references),
+    Case('events of 100 000 levels, terms of 20 000 names', RIDE, hostile_text),
     Case('two controllers', LATCH, two_controllers),
     Case('wall clock ±1 h', RIDE, step_clock, clock=True),
     *(Case(f'{name} for 8 s', EITHER, bad_network, network=net,

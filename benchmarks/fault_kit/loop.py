@@ -28,7 +28,7 @@ from std_msgs.msg import Bool, Float64MultiArray, MultiArrayDimension, String
 from std_srvs.srv import Trigger
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.records import Command, State
+from dz_ros.core.records import Command, Reference, State
 
 ROOT = Path(__file__).resolve().parents[2]
 EMULATOR = ROOT / 'test' / 'nodes' / 'ros2_control_emulator.py'
@@ -283,26 +283,36 @@ class Loop:
         """Publish a message of one's own making on a topic of the loop."""
         if not hasattr(self, '_senders'):
             self._senders = {name: self.node.create_publisher(Float64MultiArray, name, 10)
-                             for name in ('command', 'state')}
-            self.until(lambda: all(item.get_subscription_count() > 1
-                                   for item in self._senders.values()), 5.0)
-        labels = labels or (Command.labels() if topic == 'command' else State.labels(
-            self.configuration.plant.order))
+                             for name in ('command', 'state', 'reference', 'terms')}
+            self._texts = self.node.create_publisher(String, 'events', 10)
+            received = [self._senders['command'], self._senders['state'],
+                        self._senders['reference'], self._texts]
+            self.until(lambda: all(item.get_subscription_count() > 0 for item in received), 5.0)
+        order = self.configuration.plant.order
+        labels = labels or {'command': Command.labels(), 'state': State.labels(order),
+                            'reference': Reference.labels(order)}[topic]
         message = Float64MultiArray(data=[float(item) for item in numbers])
         message.layout.dim.append(MultiArrayDimension(label=','.join(labels), size=len(numbers),
                                                       stride=len(numbers)))
         self._senders[topic].publish(message)
 
+    def send_event(self, text: str) -> None:
+        """Publish any text as an event."""
+        self._texts.publish(String(data=text))
+
     def _keeper(self, kept: list[tuple[float, Row]]) -> Callable[[Any], None]:
         def keep(message: Any) -> None:
             row = tuple(message.data)
-            if len(row) > 3 and all(map(math.isfinite, row)) and row[0] < 1e6:
+            if len(row) > 3 and all(map(math.isfinite, row)) and max(row[:2]) < 1e6:
                 kept.append((time.monotonic(), row))
         return keep
 
     def _event(self, message: Any) -> None:
-        event = json.loads(message.data)
-        name = event['node'].rpartition('/')[2]
+        try:
+            event = json.loads(message.data)
+            name = event['node'].rpartition('/')[2]
+        except (ValueError, RecursionError, KeyError, TypeError, AttributeError):
+            return      # one that a fault sends
         if event['event'] == 'mode' and name in self.modes:
             self.modes[name].append((time.monotonic(), event['mode'], event['reason']))
         if event['event'] == 'configuration' and name in self.modes and event.get('seq') == 0:

@@ -17,7 +17,7 @@ import time
 
 from dz_ros.core.records import Reference, State
 from dz_ros.core.safety.health import Rejections, Report
-from dz_ros.core.safety.message_guards import SequenceGuard, Verdict
+from dz_ros.core.safety.message_guards import SequenceGuard, STATE_ECHO, Verdict
 from dz_ros.nodes.ros.lifecycle import ManagedNode
 from dz_ros.nodes.ros.topics import PACE
 from dz_ros.runtime.phase_offset import PhaseOffset
@@ -38,7 +38,7 @@ class TrajectoryNode(ManagedNode):
         self._trajectories = [item.trajectory for item in self.configuration.each]
         self._period = self.configuration.loop.period
         self._order = self.configuration.plant.order
-        self._guard = SequenceGuard()
+        self._guard = SequenceGuard(None if self.lockstep else STATE_ECHO)
         self._sent = -1
         loop = self.configuration.loop
         self._end = loop.samples + 1 if loop.duration > 0.0 else sys.maxsize

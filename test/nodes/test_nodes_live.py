@@ -384,6 +384,8 @@ COUNTED = {
     'controller_node': ('events: nested too deeply', 'events: not an event',
                         'state: echo_seq is no count', 'state: seq is no count',
                         'state: stamp is no loop time', 'reference: stamp from the future'),
+    'trajectory_node': ('state: echo_seq is no count', 'state: seq is no count',
+                        'state: stamp is no loop time'),
     'recorder_node': ('events: nested too deeply', 'events: longer than allowed',
                       'events: a field of a wrong type')}
 """Node → causes by which it counts what it refused."""

@@ -22,6 +22,7 @@ from dz_ros.core.safety.message_guards import (
     ReferenceGuard,
     REPEATED,
     SequenceGuard,
+    STATE_ECHO,
     TAKEN,
     Verdict,
 )
@@ -62,8 +63,7 @@ class ControllerGuard:
         count = max(1, len(axes))
         self.controller = controller_of(configuration)
         self.supervisor = Supervisor(changed)
-        self.state_guard = SequenceGuard(State.labels(0).index('echo_seq') - len(
-            State.labels(0)), axes)
+        self.state_guard = SequenceGuard(STATE_ECHO, axes)
         self.reference_guard = ReferenceGuard(configuration.loop.period, axes)
         self._state_of = rows_maker(State.from_numbers, count)
         self._reference_of = rows_maker(Reference.from_numbers, count)

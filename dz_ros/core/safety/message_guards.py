@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import enum
 import math
 
-from dz_ros.core.records import SEQ_LIMIT
+from dz_ros.core.records import SEQ_LIMIT, State
 
 JUMP = 1000
 """A seq that leaps ahead by more than this is not that of the same sender."""
@@ -22,6 +22,8 @@ AHEAD = 1000
 lockstep are some hundred, and one that is far ahead would hide that no others arrive."""
 LARGEST_STAMP = 1e9
 """A loop does not run for 30 years: stamps beyond this are none [s]."""
+STATE_ECHO = State.labels(0).index('echo_seq') - len(State.labels(0))
+"""Place of echo_seq in a state of any order, from the end."""
 RIVALS, RIVALRY = 10, 1.0
 """Messages out of turn within this duration [s] are a second sender, if the graph shows one."""
 
