@@ -16,6 +16,7 @@ from pathlib import Path
 import signal
 import sys
 import threading
+from types import FrameType
 
 LIMIT = 0.8
 """Longest time from the signal to the end of the process [s]."""
@@ -58,13 +59,17 @@ def prompt_end(kept: Callable[[], str] = lambda: NOTHING_KEPT) -> Iterator[None]
                 os.write(2, f'{line(kept())}\n'.encode())
                 os._exit(INTERRUPTED)
 
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        asked.set()
+        raise KeyboardInterrupt
+
     def unraisable(problem: sys.UnraisableHookArgs) -> None:
         # Lost in a callback: `watch` ends it. Else an object that was interrupted half-made.
         if problem.exc_type is not KeyboardInterrupt and not asked.is_set():
             hook(problem)
 
     hook, sys.unraisablehook = sys.unraisablehook, unraisable
-    earlier = signal.signal(signal.SIGINT, signal.default_int_handler)
+    earlier = signal.signal(signal.SIGINT, interrupt)
     wakeup = signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
     thread = threading.Thread(target=watch, daemon=True)
     thread.start()
@@ -72,6 +77,10 @@ def prompt_end(kept: Callable[[], str] = lambda: NOTHING_KEPT) -> Iterator[None]
         yield
     except KeyboardInterrupt:
         raise KeyboardInterrupt(kept()) from None
+    except Exception:       # what an interrupt in the middle of an import may be turned into
+        if asked.is_set():
+            raise KeyboardInterrupt(kept()) from None
+        raise
     finally:
         over.set()
         signal.set_wakeup_fd(wakeup)

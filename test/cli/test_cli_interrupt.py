@@ -13,6 +13,7 @@ import time
 import pytest
 
 import dz_ros
+from dz_ros.cli.interrupt import prompt_end
 from dz_ros.cli.verbs import VERBS
 
 ROOT = str(Path(dz_ros.__file__).parents[1])
@@ -195,3 +196,14 @@ def test_a_sweep_names_what_is_kept(tmp_path):
     last = err.splitlines()[-1]
     assert last.endswith('of 2000 runs are kept; the same command goes on'), err
     assert not last.startswith('dz: interrupted: 0 of')
+
+
+def test_an_error_that_an_interrupt_was_turned_into_is_still_an_interrupt():
+    """`from _ssl import …` made a TypeError of one, in the middle of making its own error."""
+    with pytest.raises(KeyboardInterrupt, match='^all is kept$'), prompt_end(lambda: 'all is kept'):
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise TypeError('expected a message argument') from None
+    with pytest.raises(TypeError, match='of its own'), prompt_end():
+        raise TypeError('of its own')
