@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rivals: each against a program of its own, and what they reach on the example."""
+"""The rivals: each against a program of its own, and what they reach on the example.
+
+Those that estimate the rest of a nominal model: `test_core_rivals_estimating`.
+"""
 
 import math
 
