@@ -13,6 +13,7 @@ from dz_ros.core.design.linear_loop import (
     largest_beta,
     largest_gain,
     loop_matrix,
+    noise_variation,
     spectral_radius,
     surface_model,
 )
@@ -100,6 +101,40 @@ def test_the_matrix_is_the_loop_stepped_directly(order, delay, observer):
     expected = [*moved, *((position, velocity) if observer else ()), integral,
                 *([v, *line[:-1]] if delay else [])]
     assert found == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize('delay', [0, 1, 2])
+@pytest.mark.parametrize('order', [1, 2, 3])
+def test_the_variation_under_noise_is_that_of_the_impulse_responses(order, delay):
+    """Another road: σ_Δ² = Σ_i σ_i² Σ_k (h_i,k − h_i,k−1)², h_i stepped one by one."""
+    model = make(RobustEso, order, design_delay=1).layer_model()
+    beta, sigma = 0.8, np.array([0.3, 0.7, 2.0])[:order]
+    assert spectral_radius(model, T, beta, delay) < 1.0
+    square = 0.0
+    for place in range(order):
+        x, z, line, last = np.zeros(order), np.zeros(len(model.c)), [0.0] * delay, 0.0
+        for k in range(6000):
+            measured = x.copy()
+            measured[place] += sigma[place] * (k == 0)
+            v = model.d @ measured + model.c @ z
+            z = model.a @ z + model.b @ measured
+            line.append(v)
+            acts = line.pop(0)
+            x = np.array([sum(T ** (j - i) / math.factorial(j - i) * x[j]
+                              for j in range(i, order))
+                          + beta * T ** (order - i) / math.factorial(order - i) * acts
+                          for i in range(order)])
+            square += (v - last) ** 2
+            last = v
+    expected = math.sqrt(2.0 / math.pi * square) / T
+    assert noise_variation(model, T, beta, delay, sigma) == pytest.approx(expected, rel=1e-8)
+
+
+def test_noise_explains_no_variation_of_a_loop_that_is_not_calm():
+    model = make(RobustEso).layer_model()
+    assert math.isfinite(noise_variation(model, T, 1.09, 2, [1e-3, 1e-2]))
+    assert noise_variation(model, T, 1.11, 2, [1e-3, 1e-2]) == math.inf
+    assert noise_variation(model, T, 1.09, 2, [0.0, 0.0]) == 0.0
 
 
 @pytest.mark.parametrize('delay', [1, 2])

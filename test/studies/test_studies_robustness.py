@@ -32,10 +32,39 @@ def cells(line):
     ((1.5, 0.5, 1.0), '75.00 %', '75.00 %', '0'),
     ((math.inf, math.inf, math.inf), '75.00 %', '75.00 %', '1')])
 def test_a_plant_counts_where_every_state_stays_within(robustness, row, share, alone, lost):
-    scale = np.array([*yardstick(), 1.0])       # of |x|, |x'| and the variation
-    rows = scale * np.array([(0.5, 0.5, 1.0)] * 3 + [row])
+    scale = np.array([*yardstick(), 1.0, 0.0, 0.0])     # of |x|, |x'| and the variation
+    rows = scale * np.array([(0.5, 0.5, 1.0, 1.0, 1.0)] * 3 + [(*row, 1.0, 1.0)])
     line = cells(robustness.table({('wang2004', 0, False): rows})[-1])
     assert (line[3], line[4], line[-1]) == (share, alone, lost)
+
+
+def test_it_chatters_where_reference_and_noise_explain_less_than_half(robustness):
+    calm = np.array([(0.0, 0.0, 3.0, 0.0, 0.0)] * 4)
+    rows = np.array([(0.0, 0.0, 300.0, 297.0, 0.0), (0.0, 0.0, 602.0, 297.0, 0.0),
+                     (0.0, 0.0, 598.0, 297.0, 0.0), (0.0, 0.0, 300.0, 0.0, 1.0)])
+    line = cells(robustness.table({('wang2004', 0, False): calm,
+                                   ('robust_eso', 2, True): rows})[-1])
+    assert line[-6:] == ['2', '100', '100', '25.00 %', '50.00 %', '0']
+
+
+@pytest.mark.parametrize('b', [0.5, 1.0])
+def test_the_noise_of_a_calm_loop_is_explained(robustness, b):
+    flat = {**robustness.base_of('robust_eso', 20.0), 'plant.b': b}
+    calm = robustness.measure({**flat, 'controller.law': 'wang2004'})
+    for delay in (0, 1, 2):
+        row = robustness.measure({**flat, **robustness.CONDITIONS[delay, True]})
+        assert row[2] == pytest.approx(calm[2] + row[3], rel=0.2)
+        assert row[4] == 0.0
+
+
+def test_a_loop_beyond_its_limit_chatters_with_and_without_noise(robustness):
+    """The guard is kept from acting: k* far above what any oscillation reaches."""
+    flat = {**robustness.base_of('robust_eso', 20.0), 'plant.b': 1.5, 'controller.k_star': 400.0}
+    calm = robustness.measure({**flat, 'controller.law': 'wang2004', 'controller.k_star': 2.5})
+    for noise in (False, True):
+        row = robustness.measure({**flat, **robustness.CONDITIONS[2, noise]})
+        assert row[4] == 1.0
+        assert row[2] > robustness.CHATTER * (calm[2] + row[3])
 
 
 @pytest.mark.parametrize('law', ['wang2004', 'robust'])

@@ -36,6 +36,8 @@ TOGETHER = 8
 """Values of the grid tried in one call; divides `POINTS`."""
 ROUNDS = 5
 """Guesses at a margin before bisection itself has to find it."""
+NEGLIGIBLE = 1e-9
+"""Entry of a power of the loop's matrix that adds nothing to a covariance."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,41 @@ def loop_matrix(model: LayerModel, period: float, beta: float, delay: int,
     """Return the matrix of the closed loop inside the layer, from sample to sample."""
     parts = _parts(model, period, delay, observer)
     return np.asarray(_matrices(parts, np.array([beta]), delay)[0])
+
+
+def noise_variation(model: LayerModel, period: float, beta: float, delay: int,
+                    sigma: Sequence[float]) -> float:
+    """Return the total variation per second that white noise on the states gives v in the loop.
+
+    Of the stationary state ζ_{k+1} = A ζ_k + N ν_k, v_k = C ζ_k + D ν_k with covariance
+    P = A P Aᵀ + N Σ Nᵀ: E|v_{k+1} − v_k| = √(2/π) σ_Δ of a normal ν, with
+    σ_Δ² = ‖C (A − I)‖²_P + ‖C N − D‖²_Σ + ‖D‖²_Σ.
+
+    All states are measured, each with noise of its own of standard deviation sigma [state units],
+    shape (n,). inf where the loop is not calm, for no noise bounds it then [actuator unit / s].
+    """
+    parts = _parts(model, period, delay, None)
+    matrix = _matrices(parts, np.array([beta]), delay)[0]
+    if not np.abs(np.linalg.eigvals(matrix)).max() < 1.0:
+        return math.inf
+    _, powers, factorials, command = parts
+    n, p = model.b.shape[1], len(model.c)
+    spread = np.zeros((len(matrix), n))
+    spread[n:n + p] = model.b
+    if delay:
+        spread[n + p] = model.d
+    else:
+        spread[:n] = np.outer(beta * powers / factorials, model.d)
+    scale = np.asarray(sigma, dtype=float)
+    power, root = matrix, spread * scale
+    covariance = root @ root.T
+    while np.abs(power).max() > NEGLIGIBLE:     # P of 2^i terms from P of half as many
+        covariance = covariance + power @ covariance @ power.T
+        power = power @ power
+    row = command @ matrix - command
+    square = (row @ covariance @ row + np.square((command @ spread - model.d) * scale).sum()
+              + np.square(model.d * scale).sum())
+    return math.sqrt(2.0 / math.pi * float(square)) / period
 
 
 def _radii(model: LayerModel, period: float, delay: int,

@@ -4,7 +4,7 @@
     σ̂ = p + g s/b̂,   p' = −g (v − ff + σ̂),   v = ff − k_d s − σ̂,   ff = φ_0 u_fd + Yᵀθ_0
 
 so that σ̂' = g (σ − σ̂) for σ of `dz_ros.core.laws.nominal`; s in place of the whole state is ours.
-p advances by the exact step of its equation with v held. Proven for a slow σ; a dead-zone's
+p advances by the exact step of its equation with s and v held. Proven for a slow σ; a dead-zone's
 residual jumps at every change of sign.
 """
 

@@ -6,7 +6,8 @@
     filter       w' = ω (σ̂ − w),   v = ff − k_d s − w
 
 The adaptation is as fast as the sampling; the filter decides what of it acts. s in place of the
-whole state is ours. Predictor and filter advance by the exact step with s, v, σ̂ held.
+whole state is ours. In every sample the filter advances by the exact step with the σ̂ just found,
+then v follows, then the predictor advances by the exact step with s, v, σ̂ held.
 """
 
 from __future__ import annotations

@@ -6,8 +6,9 @@
 
 Sampled, sgn is taken as sat(s/ε) and |s|^½ sgn s as s/√ε where |s| ≤ ε (ours): the discontinuity
 is a layer, as in the other laws, else it chatters at every rate. Both advance by one Euler step
-after v, w not while v is clipped (ours). Proven in continuous time: finite-time convergence for a
-σ of bounded rate; a dead-zone's residual jumps.
+after v; while v is clipped, w moves towards 0 only (ours). The source lets α grow slowly where
+α ≤ α_0; the floor in place of that is ours. Proven in continuous time: finite-time convergence
+for a σ of bounded rate; a dead-zone's residual jumps.
 """
 
 from __future__ import annotations
