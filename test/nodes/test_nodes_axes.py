@@ -11,6 +11,7 @@ import time
 import numpy as np
 import pytest
 
+from dz_ros.cli.offline import simulate_machine
 from dz_ros.core.axes import MAX_AXES, MAX_DIAGNOSTIC_VALUES
 from dz_ros.core.dataset import from_runs
 from dz_ros.core.loop.coupled import simulate_axes
@@ -18,6 +19,7 @@ from dz_ros.core.records import Command, Reference, State, Status, Terms
 from dz_ros.files.configurations import load_configuration
 from dz_ros.recording.reader import read_run
 from dz_ros.replay.audit.audit import audit
+from dz_ros.replay.whatif import answer_axes, plan_axes
 from dz_ros.runs.axes import each_axis
 from dz_ros.runs.history import RunHistory
 
@@ -53,6 +55,10 @@ def test_lockstep_over_dds_is_offline_and_audited_bit_for_bit(processes, samples
     for axis, of_axis in runs.items():
         others = [item for other, item in runs.items() if other != axis]
         assert audit(of_axis, others=others).passed, axis
+    planned = plan_axes(recorded, {})
+    again = answer_axes(planned, simulate_machine(planned.configuration, planned.memories), 'a', 0)
+    for topic, channel in again.channels.items():
+        assert np.array_equal(channel.values, offline.channels[topic].values), topic
 
 
 @pytest.fixture
