@@ -344,9 +344,10 @@ def compiled(folder, name, *arguments, sanitized=False):
 
 @pytest.fixture(scope='session')
 def firmware(tmp_path_factory):
-    """Return ``make(motors)``: the reference firmware as a program for this machine."""
-    return functools.cache(lambda motors=1: compiled(
-        tmp_path_factory.mktemp('firmware'), 'firmware', f'-DDZ_MOTORS={motors}', 'dz_device.c',
+    """Return ``make(motors, bands)``: the reference firmware as a program for this machine."""
+    return functools.cache(lambda motors=1, bands=((0.5, -0.6),): compiled(
+        tmp_path_factory.mktemp('firmware'), 'firmware', f'-DDZ_MOTORS={motors}',
+        '-DDZ_BANDS=' + ', '.join(f'{{{b_r}, {b_l}}}' for b_r, b_l in bands), 'dz_device.c',
         'line_main.c', '-lm'))
 
 
@@ -364,15 +365,25 @@ SERIAL_AXES = ('pan', 'tilt', 'roll')
 
 @pytest.fixture(params=['emulated', 'firmware'])
 def serial_device(request, processes, tmp_path):
-    """Return a function that starts a device on a serial line with faults; `port`, `axes`."""
+    """Return a function that starts a device on a serial line with faults; `port`, `axes`.
+
+    Its motors have dead-zones of their own, `bands` = (b_r, b_l) of each, where they are given;
+    they then have no cogging torque, under which the emulated ones creep at rest.
+    """
     port = tmp_path / 'port'
 
-    def start(*faults, motors=1):
+    def start(*faults, motors=1, bands=()):
         options = ['-o', f'link={port}']
         if motors > 1:
             options += ['--set', f'loop.axes=[{", ".join(SERIAL_AXES[:motors])}]']
+        if bands:
+            options += ['--set', 'plant.cogging_torque=0']
+        for axis, band in zip(SERIAL_AXES, bands, strict=False):
+            for key, value in zip(('b_r', 'b_l'), band, strict=True):
+                options += ['--set', f'axes.{axis}.plant.dead_zone.{key}={value}']
         if request.param == 'firmware':
-            options += ['-o', f'program={request.getfixturevalue("firmware")(motors)}']
+            made = request.getfixturevalue('firmware')
+            options += ['-o', f'program={made(motors, bands) if bands else made(motors)}']
         process = processes('-m', 'dz_ros', 'driver', 'emulate', 'serial', 'serial', *options,
                             *(word for fault in faults for word in ('--fault', fault)))
         process.wait_for_line('serial device on')

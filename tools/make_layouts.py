@@ -108,8 +108,11 @@ def _mosaic(panels: list[str], direction: str) -> Any:
             'splitPercentage': round(100.0 * half / len(panels), 1)}
 
 
-def plotjuggler(c: Configuration, names: Names, place: str, live: bool) -> bytes:
-    """Return a layout for PlotJuggler: of live ROS topics, or of an MCAP file."""
+def plotjuggler(c: Configuration, names: Names, place: str, live: bool, axes: int) -> bytes:
+    """Return a layout for PlotJuggler: of live ROS topics, or of an MCAP file.
+
+    PlotJuggler takes no array that is longer than `max_array_size`: the rows of all axes count.
+    """
     def under(parent: ET.Element, tag: str, text: str = '', /,
               **attributes: str) -> ET.Element:
         found = ET.SubElement(parent, tag, attributes)
@@ -134,7 +137,7 @@ def plotjuggler(c: Configuration, names: Names, place: str, live: bool) -> bytes
     under(window, 'currentTabIndex', index='0')
     under(root, 'use_relative_time_offset', enabled='1')
     plugins = under(root, 'Plugins')
-    longest = str(max(100, *(at + 1 for _, at in names.values())))
+    longest = str(max(100, *(axes * len(fields) for fields in fields_of(c).values())))
     topics = [f'{place}/{topic}' for topic in dict.fromkeys(topic for topic, _ in names.values())]
     if live:
         plugin = under(plugins, 'plugin', ID='ROS2 Topic Subscriber')
@@ -171,15 +174,15 @@ def layouts(c: Configuration, namespace: str = '', axis: str = '') -> dict[str, 
     Raises:
         ConfigurationError: There is no such axis, or none is chosen of several.
     """
-    row = 0
+    row, axes = 0, max(1, len(c.axes))
     if axis or len(c.axes) > 1:
         machine, c = c, c.axis(axis)
         row = machine.axis_names.index(axis)
     names, place = names_of(c, row), f'/{namespace.strip("/")}' if namespace.strip('/') else ''
     text = json.dumps(foxglove(c, names, place), indent=1, ensure_ascii=False) + '\n'
     return {'foxglove.json': text.encode(),
-            'plotjuggler_ros2.xml': plotjuggler(c, names, place, True),
-            'plotjuggler_mcap.xml': plotjuggler(c, names, place, False)}
+            'plotjuggler_ros2.xml': plotjuggler(c, names, place, True, axes),
+            'plotjuggler_mcap.xml': plotjuggler(c, names, place, False, axes)}
 
 
 def main() -> int:

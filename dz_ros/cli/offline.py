@@ -10,7 +10,7 @@ import numpy as np
 
 from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.loop.coupled import is_coupled, simulate_axes
+from dz_ros.core.loop.coupled import is_coupled, simulate_together
 from dz_ros.core.loop.offline import Run, simulate
 from dz_ros.errors import ConfigurationError, LoopError
 
@@ -18,8 +18,13 @@ ADVICE = ('try a smaller controller.lambda, a larger controller.epsilon, a highe
           'less loop.delay')
 
 
-def simulate_machine(configuration: Configuration) -> dict[str, Run]:
+def simulate_machine(configuration: Configuration,
+                     memories: Sequence[Sequence[float] | None] = ()) -> dict[str, Run]:
     """Return axis → its closed loop, as `simulate_offline`; one axis is called ''.
+
+    Args:
+        configuration: What to run.
+        memories: Those of the axes, as of `simulate_offline`; none at all = their initial ones.
 
     Raises:
         ConfigurationError: The configuration has no end.
@@ -27,16 +32,17 @@ def simulate_machine(configuration: Configuration) -> dict[str, Run]:
     """
     if not is_coupled(configuration):
         found = {}
-        for name, item in configuration.axes or (('', configuration),):
+        each = configuration.axes or (('', configuration),)
+        for (name, item), memory in zip(each, memories or (None,) * len(each), strict=True):
             try:
-                found[name] = simulate_offline(item)
+                found[name] = simulate_offline(item, memory)
             except LoopError as error:
                 raise LoopError(f'axis {name}: {error}' if name else str(error)) from error
         return found
     _require_end(configuration)
     try:
         with stage(_simulating(configuration)):
-            runs = simulate_axes(configuration)
+            runs = simulate_together(configuration, memories)
     except (OverflowError, ValueError) as error:
         if isinstance(error, ConfigurationError):
             raise

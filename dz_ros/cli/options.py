@@ -248,11 +248,21 @@ def read_configuration(arguments: argparse.Namespace) -> Configuration:
     Raises:
         ConfigurationError: It cannot be used, or is of several axes and none was chosen.
     """
-    configuration = read_machine(arguments)
-    if configuration.axes:
-        raise ConfigurationError('loop.axes', list(configuration.axis_names),
+    return one_axis(read_all_axes(arguments), arguments.axis)
+
+
+def one_axis(machine: Configuration, axis: str | None) -> Configuration:
+    """Return the configuration of one axis.
+
+    Raises:
+        ConfigurationError: There are several and none was chosen, or there is no such axis.
+    """
+    if axis is not None:
+        return machine.axis(axis)
+    if machine.axes:
+        raise ConfigurationError('loop.axes', list(machine.axis_names),
                                  'this is done for one axis; choose it with --axis')
-    return configuration
+    return machine
 
 
 def read_machine(arguments: argparse.Namespace) -> Configuration:
@@ -260,6 +270,16 @@ def read_machine(arguments: argparse.Namespace) -> Configuration:
 
     Raises:
         ConfigurationError: It cannot be used, or there is no such axis.
+    """
+    configuration = read_all_axes(arguments)
+    return configuration if arguments.axis is None else configuration.axis(arguments.axis)
+
+
+def read_all_axes(arguments: argparse.Namespace) -> Configuration:
+    """Return the configuration asked for, of all its axes whatever --axis; notes as above.
+
+    Raises:
+        ConfigurationError: It cannot be used.
     """
     overrides = configuration_overrides(arguments)
     configuration = load_configuration(arguments.config, overrides, arguments.namespace)
@@ -274,4 +294,4 @@ def read_machine(arguments: argparse.Namespace) -> Configuration:
             print(f'dz: note: {key} is set aside: {configuration.plant.name}, '
                   f'{configuration.law.name} and {configuration.trajectory.name} do not use it',
                   file=sys.stderr)
-    return configuration if arguments.axis is None else configuration.axis(arguments.axis)
+    return configuration

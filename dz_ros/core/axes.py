@@ -16,6 +16,8 @@ from dz_ros.errors import ConfigurationError
 
 MAX_AXES = 32
 """Axes of one loop, at most."""
+MAX_DIAGNOSTIC_VALUES = 24 * MAX_AXES
+"""Values of a node's diagnostics that are shown; a node reports about 12 of each axis."""
 MAX_NAME = 40
 """Characters of an axis' name, at most."""
 SHARED = ('seq', 'stamp', 'echo_seq', 'echo_stamp')

@@ -277,6 +277,24 @@ class Configuration:
             axes.append((name, built))
         return cls._joined(tuple(axes), set_aside=_unused(axes, common, own))
 
+    @classmethod
+    def of_axes(cls, each: Mapping[str, Configuration]) -> Configuration:
+        """Return the configuration of a machine of axes that have theirs; the loop is the first's.
+
+        Args:
+            each: Axis → configuration, as of a loop of this axis alone.
+
+        Raises:
+            ConfigurationError: One does not go with the others.
+        """
+        placed = []
+        for place, (name, item) in enumerate(each.items()):
+            keys = {key: place for key, several in (
+                (PLANT_AXIS, isinstance(item.plant, CoupledPlant)), (LAW_AXIS, item.law.coupled))
+                if several}
+            placed.append((name, item.replace(**keys)))
+        return cls._joined(tuple(placed))
+
     @staticmethod
     def _serves_several(keys: Mapping[str, Any]) -> bool:
         """Return whether the plant that keys choose serves several axes."""

@@ -20,6 +20,7 @@ from rclpy.node import Node
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from dz_ros.core.axes import MAX_DIAGNOSTIC_VALUES
 from dz_ros.core.text import LONGEST
 from dz_ros.errors import ConfigurationError, LoopError
 from dz_ros.nodes.ros.base import deliver, fixed_parameter
@@ -32,8 +33,6 @@ ENDS = ('plant_node', 'controller_node')
 actuator subscribes. Where another node stands for one of them, it is that one."""
 NOTHING = 'nothing is latched'
 """Answer of a reset service that had nothing to do."""
-MAX_VALUES = 200
-"""Values of a node that are passed on; texts are at most `LONGEST` long."""
 TASKS = ('status', 'estop', 'reset', 'receive_estop')
 
 
@@ -174,7 +173,7 @@ class OperatorNode(Node):
                          'message': status.message[:LONGEST],
                          'hardware': status.hardware_id[:LONGEST],
                          'values': {item.key[:LONGEST]: item.value[:LONGEST]
-                                    for item in status.values[:MAX_VALUES]},
+                                    for item in status.values[:MAX_DIAGNOSTIC_VALUES]},
                          'received': time.time()})
 
     def _write(self, line: dict[str, Any]) -> None:

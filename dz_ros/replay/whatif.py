@@ -4,6 +4,11 @@
 Initial plant state, initial estimates, reference, seed and length are those of the run; so with
 nothing changed an offline or lockstep run comes out bit for bit. That needs a model of the plant:
 the one that was simulated, one given by its parameters, or one fitted to the log (`fit`).
+
+Of several axes `plan` is about one alone and `plan_axes` about all of them together, which is what
+a plant or a law that couples them needs.
+
+Over 300 lines: a plan of one axis, one of all, and what both take from the log.
 """
 
 from __future__ import annotations
@@ -16,8 +21,10 @@ from typing import Any
 import numpy as np
 
 from dz_ros.core import schema
+from dz_ros.core.axes_keys import axis_key, check_axes, is_machines, parts, split_keys
 from dz_ros.core.configuration import allow_named, Configuration
-from dz_ros.core.dataset import from_run, RunData
+from dz_ros.core.dataset import from_run, from_runs, RunData
+from dz_ros.core.loop.coupled import knows_others
 from dz_ros.core.loop.offline import Run
 from dz_ros.core.plants import PLANTS
 from dz_ros.errors import ConfigurationError, RecordingError
@@ -27,7 +34,8 @@ from dz_ros.identification.estimation.pipeline import fit_log
 from dz_ros.identification.estimation.prediction_error import Fit
 from dz_ros.identification.proposal import zone_keys
 from dz_ros.replay.recorded_trajectory import RecordedTrajectory
-from dz_ros.runs.history import known_keys, RunHistory
+from dz_ros.runs.axes import axis_flat, each_axis
+from dz_ros.runs.history import known_keys, RunHistory, usable
 from dz_ros.runs.sequence import readable
 from dz_ros.runs.setting import state_columns
 
@@ -54,6 +62,35 @@ class Plan:
     notes: tuple[str, ...]
     fit: Fit | None = None
     as_recorded: bool = False
+
+
+@dataclass(frozen=True)
+class MachinePlan:
+    """A what-if of all axes of a machine, ready to be simulated.
+
+    Attributes:
+        configuration: What to run.
+        each: Axis → its plan.
+    """
+
+    configuration: Configuration
+    each: Mapping[str, Plan]
+
+    @property
+    def memories(self) -> tuple[tuple[float, ...] | None, ...]:
+        """The laws' memories before the first sample; None = the initial one."""
+        return tuple(item.memory for item in self.each.values())
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the answer must know; with the axis where it is not so of all."""
+        found: dict[str, list[str]] = {}
+        for name, item in self.each.items():
+            for text in item.notes:
+                found.setdefault(text, []).append(name)
+        return tuple(text if len(names) == len(self.each) else
+                     f'{"axis" if len(names) == 1 else "axes"} {", ".join(names)}: {text}'
+                     for text, names in found.items())
 
 
 def is_simulated(run: RunData) -> bool:
@@ -151,6 +188,56 @@ def plan(run: RunData, overrides: Mapping[str, Any], *, given: Mapping[str, Any]
     return Plan(chosen, _memory(run, base, chosen), tuple(notes), found, as_recorded)
 
 
+def plan_axes(run: RunData, overrides: Mapping[str, Any], *,
+              given: Mapping[str, Mapping[str, Any]] | None = None) -> MachinePlan:
+    """Return what to simulate of a run of several axes, all of them together.
+
+    Args:
+        run: The recorded run.
+        overrides: Dotted key → value: what is changed; without an axis, of each of them.
+        given: Axis → dotted keys of what ran, for logs without it; overrules the log.
+
+    Raises:
+        ConfigurationError: As of `plan`; a key of no axis, axes that no longer go together.
+        RecordingError: As of `plan`.
+    """
+    common, own = split_keys(overrides)
+    check_axes(own, run.axes)
+    if 'loop.axes' in common:
+        raise ConfigurationError('loop.axes', common['loop.axes'], 'the axes are those of the run')
+    each = {}
+    for place, (name, data) in enumerate(each_axis(run).items()):
+        mine = {**common, **own.get(name, {})}
+        seed = mine.get('loop.seed')
+        if isinstance(seed, int):
+            mine['loop.seed'] = (seed + place) % 2 ** 63
+        try:
+            each[name] = plan(data, mine, given=(given or {}).get(name))
+        except (ConfigurationError, RecordingError) as error:
+            error.args = (f'axis {name}: {error}',)
+            raise
+    machine = Configuration.of_axes({name: item.configuration for name, item in each.items()})
+    return MachinePlan(machine, each)
+
+
+def couples_axes(run: RunData, given: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Return whether plant or law of a run of several axes depend on the other axes.
+
+    Args:
+        run: The recorded run.
+        given: Axis → dotted keys of what ran, as of `plan_axes`.
+    """
+    first = run.axes[0]
+    found, _ = usable({**axis_flat(base_configuration(run), first), **given.get(first, {})})
+    return found is not None and knows_others(found)
+
+
+def of_axis(overrides: Mapping[str, Any], axis: str) -> dict[str, Any]:
+    """Return keys as changes of one axis of a machine; those of the machine stay as they are."""
+    return {key if is_machines(key) else axis_key(axis, key): value
+            for key, value in overrides.items()}
+
+
 def fitted_keys(fit: Fit, c: Configuration) -> dict[str, Any]:
     """Return the configuration keys of a fitted plant: its parameters and the dead-zone's.
 
@@ -170,9 +257,26 @@ def answer(plan: Plan, run: Run, name: str, start_ns: int) -> RunData:
         name: Name of the recorded run.
         start_ns: Log time of its first sample [ns since the epoch].
     """
-    data = from_run(run, start_ns)
+    return _answered(from_run(run, start_ns), plan.as_recorded, name)
+
+
+def answer_axes(plan: MachinePlan, runs: Mapping[str, Run], name: str, start_ns: int) -> RunData:
+    """Return a simulated what-if of all axes as one run to be recorded.
+
+    Args:
+        plan: What was simulated.
+        runs: The results by axis.
+        name: Name of the recorded run.
+        start_ns: Log time of its first sample [ns since the epoch].
+    """
+    return _answered(from_runs(runs, plan.configuration, start_ns),
+                     any(item.as_recorded for item in plan.each.values()), name)
+
+
+def _answered(data: RunData, as_recorded: bool, name: str) -> RunData:
+    """Return the run of an answer, without a trajectory that its configuration does not hold."""
     flat = {key: value for key, value in data.configuration.items()
-            if not (plan.as_recorded and key.startswith('trajectory.'))}
+            if not (as_recorded and parts(key)[1].startswith('trajectory.'))}
     return replace(data, configuration=flat, info={**data.info, 'what_if_of': name})
 
 

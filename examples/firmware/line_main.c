@@ -6,7 +6,8 @@
  *     dz driver emulate serial --option program=./firmware
  *
  * Each servo is that of config/serial.yaml without its cogging: J q'' + B q' + T_c tanh(q'/w_s) =
- * K_t D(v), behind the dead-zone D of slope 1 between b_l and b_r. SIGUSR1 makes their amplifiers
+ * K_t D(v), behind the dead-zone D of slope 1 between b_l and b_r; -DDZ_BANDS='{0.5, -0.6},
+ * {0.3, -0.4}' gives the motors others, in turn. SIGUSR1 makes their amplifiers
  * report fault 7, SIGRTMIN + k that of motor k, SIGUSR2 takes it back. It ends with its line.
  */
 #define _POSIX_C_SOURCE 200809L
@@ -26,10 +27,16 @@
 #define SPEED_SCALE 1e-5                    /* rad/s */
 #define STEP 1e-4                           /* of the integration [s] */
 
+#ifndef DZ_BANDS
+#define DZ_BANDS {0.5, -0.6}
+#endif
+static const double bands[][2] = {DZ_BANDS};    /* b_r, b_l of the motors, in turn [A] */
+
 static volatile sig_atomic_t overcurrent[DZ_MOTORS];
 
 struct servo {
     double t, angle, speed, current;
+    const double *band;
 };
 
 struct bench {
@@ -53,9 +60,9 @@ static double seconds(void)
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-static double acceleration(double speed, double current)
+static double acceleration(const double *band, double speed, double current)
 {
-    const double b_r = 0.5, b_l = -0.6;
+    const double b_r = band[0], b_l = band[1];
     double w = current >= b_r ? current - b_r : current <= b_l ? current - b_l : 0.0;
     return w - 0.4 * speed - 1.0 * tanh(speed / 0.01);
 }
@@ -65,8 +72,8 @@ static void advance(struct servo *servo, double now)
 {
     while (servo->t < now) {
         double h = now - servo->t < STEP ? now - servo->t : STEP;
-        double a = acceleration(servo->speed, servo->current);
-        double b = acceleration(servo->speed + h * a, servo->current);
+        double a = acceleration(servo->band, servo->speed, servo->current);
+        double b = acceleration(servo->band, servo->speed + h * a, servo->current);
         servo->angle += h * (servo->speed + 0.5 * h * a);
         servo->speed += 0.5 * h * (a + b);
         servo->t += h;
@@ -117,7 +124,8 @@ int main(void)
     struct dz_device device;
     struct sigaction action;
     for (size_t motor = 0; motor < DZ_MOTORS; motor++) {
-        bench.servos[motor] = (struct servo){.t = seconds(), .angle = 0.1};
+        bench.servos[motor] = (struct servo){
+            .t = seconds(), .angle = 0.1, .band = bands[motor % (sizeof bands / sizeof *bands)]};
         description.motors[motor] = (struct dz_motor){
             .limit = 30000, .command_scale = (float)COMMAND_SCALE,
             .state_scales = {(float)ANGLE_SCALE, (float)SPEED_SCALE}};

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The verbs of `dz` with several axes: each of them, or the one of --axis."""
+"""The verbs of `dz` with several axes: each of them, or the one of --axis.
+
+Over 300 lines: every verb, of one machine and its run.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,8 @@ import pytest
 from dz_ros.cli.main import main
 from dz_ros.core.loop.offline import simulate
 from dz_ros.files.configurations import load_configuration
+from dz_ros.recording.reader import read_run
+from dz_ros.runs.axes import axis_run
 
 FILE = """
 loop: {axes: [surge, yaw], duration: 2.0}
@@ -149,8 +154,8 @@ def test_a_report_has_a_summary_and_a_page_for_each_axis(recorded, capsys, tmp_p
 
 
 def test_whatif_and_other_verbs_of_one_axis_ask_for_it(recorded, config, capsys, tmp_path):
-    for words in (['bag', 'whatif', recorded, '--set', 'controller.lambda=3'],
-                  ['certify', config], ['report', recorded, '--serve']):
+    for words in (['bag', 'whatif', recorded, '--fit'], ['certify', config],
+                  ['report', recorded, '--serve']):
         assert main(words) == 2, words
         error = capsys.readouterr().err
         assert 'axis' in error, words
@@ -162,6 +167,68 @@ def test_whatif_and_other_verbs_of_one_axis_ask_for_it(recorded, config, capsys,
     assert main(['bag', 'audit', str(tmp_path / 'made')]) == 0
     assert main(['bag', 'info', str(tmp_path / 'made')]) == 0
     assert 'axes:' not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('name', ['two', 'rov_planar'])
+def test_whatif_without_an_axis_is_of_all_of_them(config, capsys, tmp_path, name):
+    run, made, out = (str(tmp_path / item) for item in ('run', 'made', 'out'))
+    own = ['--set', 'loop.duration=0.5']
+    assert main(['simulate', config if name == 'two' else name, *own, '--record', run]) == 0
+    axes = read_run(run).axes
+    capsys.readouterr()
+    # What it had: the same run again, bit for bit, through two files.
+    assert main(['bag', 'whatif', run, *own, '--out', out, '--record', made]) == 0
+    shown = capsys.readouterr().out
+    assert [line for line in shown.splitlines() if line.startswith('axis ')] == [
+        f'axis {axis}' for axis in axes]
+    assert f'0.5 s of loop, {len(axes)} axes, in ' in shown
+    for axis in axes:
+        assert f'comparison: {out}/{axis}/comparison.html' in shown
+        assert (tmp_path / 'out' / axis / 'comparison.html').is_file()
+    for topic, channel in read_run(run).channels.items():
+        again = read_run(made).channels[topic]
+        assert again.axes == axes
+        assert np.array_equal(again.values, channel.values, equal_nan=True)
+    assert main(['bag', 'audit', made]) == 0
+
+
+def test_whatif_of_an_axis_that_others_depend_on_simulates_all(capsys, tmp_path):
+    run, made, out = (str(tmp_path / item) for item in ('run', 'made', 'out'))
+    assert main(['simulate', 'rov_planar', '--duration', '0.5', '--record', run]) == 0
+    capsys.readouterr()
+    assert main(['bag', 'whatif', run, '--axis', 'yaw', '--set', 'controller.lambda=3', '--out',
+                 out, '--record', made]) == 0
+    shown = capsys.readouterr().out
+    assert 'axis yaw\n' in shown
+    assert 'axis surge' not in shown
+    assert '3 axes' in shown
+    assert f'comparison: {out}/comparison.html' in shown
+    before, after = read_run(run), read_run(made)
+    assert after.axes == before.axes
+    assert after.configuration['axes.yaw.controller.lambda'] == 3.0
+    assert after.configuration['controller.lambda'] == before.configuration['controller.lambda']
+    assert not np.array_equal(axis_run(before, 'surge').channels['state'].values,
+                              axis_run(after, 'surge').channels['state'].values)
+    for words, wanted in (
+            (['--axis', 'yaw', '--fit'], '--fit = True: fits one axis that neither plant nor law'),
+            (['--axis', 'yaw', '--set', 'plant.mass=20'],
+             'axes.yaw.plant.mass = 20.0: must be the same for all axes'),
+            (['--axis', 'jaw', '--set', 'controller.lambda=3'], 'did you mean yaw'),
+            (['--set', 'axes.jaw.controller.lambda=3'], 'did you mean yaw')):
+        assert main(['bag', 'whatif', run, *words]) == 2
+        error = capsys.readouterr().err
+        assert wanted in error
+        assert error.count('\n') == 1
+
+
+def test_whatif_takes_what_ran_from_a_file_for_all_axes(recorded, config, capsys, tmp_path):
+    assert main(['bag', 'whatif', recorded, '--config', config, '--set', 'loop.duration=0.5',
+                 '--out', str(tmp_path / 'out'), '--record', str(tmp_path / 'made')]) == 0
+    made = read_run(tmp_path / 'made')
+    assert made.configuration == {**read_run(recorded).configuration, 'loop.duration': 0.5}
+    assert main(['bag', 'whatif', recorded, '--config', 'two_link_arm', '--set',
+                 'loop.duration=0.5']) == 2
+    assert '--axis = ' in capsys.readouterr().err
 
 
 def test_what_does_not_go_with_the_axes_of_a_run_is_one_line(recorded, config, capsys, tmp_path):

@@ -14,6 +14,7 @@ from dz_ros.core.records import Command, Reference, State
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
 from dz_ros.core.safety.controller_guard import ControllerGuard
 from dz_ros.core.safety.modes import LifecycleState, Mode
+from dz_ros.core.safety.settings import SafetySettings
 from dz_ros.drivers.hosted_axes import host, HostedDrivers
 
 T = 0.005
@@ -107,6 +108,28 @@ def test_one_axis_in_fault_stops_all_and_is_named():
     assert machine.controller.controller.memory == before       # none has taken the step
     assert machine.actuator.output == (0.0, 0.0, 0.0)
     assert {row.seq for row in machine.step()[0]} == {machine.k - 1}    # none is ahead of others
+
+
+@pytest.mark.parametrize(('axes', 'beyond', 'reason'), [
+    (('',), (0,), 'command beyond every number'),
+    (('surge', 'sway', 'yaw'), (1,), 'axis sway: command beyond every number'),
+    (('surge', 'sway', 'yaw'), (0, 2), 'axes surge, yaw: command beyond every number'),
+])
+def test_a_command_that_its_ramp_takes_beyond_every_number_is_named_by_its_axis(axes, beyond,
+                                                                                reason):
+    names = tuple(filter(None, axes))
+    limits = [SafetySettings(ramp=1.0, safe_command=-1e308 if place in beyond else 0.0)
+              for place in range(len(axes))]
+    guard = ActuatorGuard(limits if names else limits[0], T, axes=names)
+    for name in ('configure', 'activate'):
+        guard.transition(name, 0.0)
+    for k, v in enumerate((0.0, 1.7e308)):      # finite, and too far from the safe command
+        rows = Rows(Command(k, k * T, v, k, k * T) for _ in axes)
+        given = guard.command((rows if names else rows[0]).numbers(), k, (k + 0.5) * T)
+    safe = tuple(item.safe_command for item in limits)
+    assert guard.supervisor.mode is Mode.FAULT
+    assert guard.supervisor.reason == reason
+    assert given == guard.output == (safe if names else safe[0])
 
 
 def test_nan_in_a_row_is_counted_for_its_axis_and_nothing_is_answered():

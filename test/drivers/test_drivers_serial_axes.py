@@ -6,15 +6,18 @@ Over 300 lines: all of it needs the same device of several motors.
 
 from dataclasses import replace
 import itertools
+import json
 from pathlib import Path
 import time
 
 import pytest
 
+from dz_ros.cli.main import main
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.rules import check
 from dz_ros.core.loop.coupled import simulate_axes
 from dz_ros.core.safety.health import Report
+from dz_ros.drivers.beside import Beside, beside_others
 from dz_ros.drivers.hosted_axes import HostedDrivers
 from dz_ros.drivers.serial.protocol import Mode, Request, State
 from dz_ros.errors import ConfigurationError, DriverError
@@ -369,3 +372,80 @@ def test_an_axis_of_any_motor_is_asked_alone_and_opened_with_the_others(tmp_path
     assert alone.measured == 2
     with pytest.raises(DriverError, match=r'^driver.motor = 1: must be below 1, the number of'):
         alone.open()
+
+
+def test_one_motor_is_commanded_beside_the_others_at_their_safe_command(liars):
+    liar = liars(3)
+    hosted = beside_others(machine(liar.port, axes__z__safety__safe_command=0.5), 'y',
+                           all_faults=True)
+    assert hosted.others == ('x', 'z')
+    hosted.open()
+    hosted.enable()
+    try:
+        def until(condition):
+            deadline = time.monotonic() + TIME_OUT
+            while not condition():
+                assert time.monotonic() < deadline, hosted.fault()
+                hosted.measure(0.0)
+                assert hosted.command(99.0, 0.0) == 30.0        # its limit
+                time.sleep(0.004)
+
+        until(lambda: (0, 30000, 500) in liar.given)
+        assert hosted.measure(0.0)[0] == pytest.approx(0.101)
+        assert {item for item in liar.given if item} == {(0, 0, 500), (0, 30000, 500)}
+        liar.faults[2] = 7
+        until(hosted.fault)
+        assert hosted.fault() == 'axis z: the device reports fault 7'
+        assert hosted.own.fault() == ''
+        assert hosted.recover().startswith('axis z: ')
+        liar.faults[2] = 0
+        until(lambda: not hosted.recover())
+    finally:
+        assert hosted.disable(0.0, 0.0) == ''
+        hosted.close()
+    assert liar.device.mode is Mode.DISABLED
+
+
+def test_the_kit_wants_the_faults_of_the_axis_itself(liars):
+    liar = liars(2)
+    hosted = Beside(HostedDrivers(machine(liar.port, AXES[:2])), 0)
+    hosted.open()
+    hosted.enable()
+    try:
+        liar.faults[1] = 7
+        deadline = time.monotonic() + TIME_OUT
+        while not hosted._hosts.fault():
+            assert time.monotonic() < deadline
+            hosted.command(1.0, 0.0)
+            time.sleep(0.004)
+        assert hosted.fault() == ''
+        assert hosted.recover() == ''
+    finally:
+        hosted.disable(0.0, 0.0)
+        hosted.close()
+
+
+def test_an_axis_of_one_device_needs_no_others(liars):
+    first, second = liars(2), liars(1)
+    c = machine(first.port, axes__y__driver__port=second.port)
+    assert beside_others(c, 'y') is None
+    assert beside_others(c, 'x').others == ('y', 'z')
+    assert beside_others(c, None) is None
+    assert beside_others(c.axis('x'), 'x') is None
+
+
+def test_the_kit_checks_one_axis_of_a_board(liars, capsys, monkeypatch):
+    monkeypatch.setattr('dz_ros.cli.driver.check.find_spec', lambda _name: None)
+    monkeypatch.setattr('dz_ros.cli.driver.stop_requests.find_spec', lambda _name: None)
+    monkeypatch.setattr('dz_ros.drivers.conformance.driver_checks.RUN_DURATION', 0.3)
+    liar = liars(2)
+    keys = (f'driver.port={liar.port}', 'driver.name=serial', 'loop.axes=[x, y]',
+            *(f'driver.{key}={value}' for key, value in PATIENT.items()))
+    main(['driver', 'check', '--config', str(SERVO), '--axis', 'y', '--yes', '--json',
+          *(word for key in keys for word in ('--set', key))])
+    found = {item['name']: item for item in map(json.loads, capsys.readouterr().out.splitlines())}
+    for name in ('opens', 'safe command', 'stop and reset', 'restart', 'reconnect'):
+        assert found[name]['passed'], found[name]
+    assert found['as a node']['words'] == 'its device is that of other axes too'
+    assert {item[0] for item in liar.given if item} == {0}
+    assert len({item[1] for item in liar.given if item}) > 1

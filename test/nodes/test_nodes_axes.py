@@ -1,21 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes with several axes: lockstep is offline, faults name their axis and stop all."""
+"""Nodes with several axes: lockstep is offline, faults name their axis and stop all.
+
+Over 300 lines: all of it needs the same nodes of six axes and what is received of them.
+"""
 
 import copy
 import math
 from pathlib import Path
+import re
 import signal
+import time
 
 import numpy as np
 import pytest
 
-from dz_ros.core.axes import MAX_AXES
+from dz_ros.cli.offline import simulate_machine
+from dz_ros.core.axes import MAX_AXES, MAX_DIAGNOSTIC_VALUES
 from dz_ros.core.dataset import from_runs
 from dz_ros.core.loop.coupled import simulate_axes
 from dz_ros.core.records import Command, Reference, State, Status, Terms
 from dz_ros.files.configurations import load_configuration
 from dz_ros.recording.reader import read_run
 from dz_ros.replay.audit.audit import audit
+from dz_ros.replay.whatif import answer_axes, plan_axes
 from dz_ros.runs.axes import each_axis
 from dz_ros.runs.history import RunHistory
 
@@ -51,6 +58,10 @@ def test_lockstep_over_dds_is_offline_and_audited_bit_for_bit(processes, samples
     for axis, of_axis in runs.items():
         others = [item for other, item in runs.items() if other != axis]
         assert audit(of_axis, others=others).passed, axis
+    planned = plan_axes(recorded, {})
+    again = answer_axes(planned, simulate_machine(planned.configuration, planned.memories), 'a', 0)
+    for topic, channel in again.channels.items():
+        assert np.array_equal(channel.values, offline.channels[topic].values), topic
 
 
 @pytest.fixture
@@ -256,6 +267,50 @@ def test_an_axis_at_its_limit_alone_is_held_back_and_its_adaptation_alone_frozen
         assert reported['/controller_node'].get(f'{axis}: frozen: saturated [samples]', '0') == '0'
     operator.wait_for_mode(actuator_node='running', controller_node='running')
     stop(nodes)
+
+
+STATUS = ('-m', 'dz_ros', 'status', '--once')
+
+
+def test_status_shows_the_values_of_each_axis_and_names_the_one_in_fault(start, operator,
+                                                                         processes):
+    nodes = start(*operator.patient)
+    operator.wait_for_mode(actuator_node='running', controller_node='running')
+    status = processes(*STATUS)
+    assert status.wait() == 0, status.output
+    sections = re.split(r'^(?=\w+ +/)', status.output, flags=re.MULTILINE)
+    for node, label in (('controller_node', 'max |error|'), ('controller_node', 'max |s|/epsilon'),
+                        ('actuator_node', 'applied command')):
+        section = next(item for item in sections if f'/{node}: ' in item.partition('\n')[0])
+        assert re.findall(rf'^ +(\w+): {re.escape(label)} +\S+$', section, re.MULTILINE) == list(
+            AXES), status.output
+        assert section.splitlines()[1].split() == ['mode', 'running']   # the machine's, once
+    assert operator.set('/controller_node', axes__pitch__safety__error_limit=1e-9).successful
+    operator.wait_for_mode(controller_node='fault')
+    status = processes(*STATUS)
+    assert status.wait() == 1, status.output
+    assert re.search('^ERROR  /controller_node: fault: axis pitch: error ', status.output,
+                     re.MULTILINE), status.output
+    stop(nodes)
+
+
+def test_status_shows_as_many_values_as_the_most_axes_have(operator, processes):
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+    publisher = operator.node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+    keys = [f'a{axis}: value {place}' for axis in range(MAX_AXES)
+            for place in range(MAX_DIAGNOSTIC_VALUES // MAX_AXES)]
+    message = DiagnosticArray(status=[DiagnosticStatus(
+        name='/of_many', level=b'\0', message='running', values=[
+            KeyValue(key=key, value='1') for key in (*keys, 'one more')])])
+    status = processes(*STATUS, '--all')
+    deadline = time.monotonic() + 120.0
+    while status.poll() is None:
+        assert time.monotonic() < deadline
+        publisher.publish(message)
+        time.sleep(0.2)
+    shown = [line.strip().rpartition(' ')[0].strip() for line in status.output.splitlines()
+             if line.startswith('   ')]
+    assert shown == keys
 
 
 @pytest.mark.parametrize(('arguments', 'wanted'), [

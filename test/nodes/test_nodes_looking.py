@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from dz_ros.recording.axes_cdr import codec_for
 from dz_ros.recording.cdr import ArrayCodec
 from dz_ros.recording.channels import CHANNELS
 from dz_ros.recording.reader import read_run
@@ -28,6 +29,34 @@ def test_bad_parameters_are_one_line(processes, parameter, message):
     assert process.wait() == 2
     assert message in process.output
     assert 'Traceback' not in process.output
+
+
+def received(address):
+    """Return the channels that a server offers, and topic → (time [ns], payload) of five of them.
+
+    Each has at least a hundred.
+    """
+    async def look():
+        found = {}
+        async with aiohttp.ClientSession() as session, session.ws_connect(
+                address, protocols=('foxglove.sdk.v1', 'foxglove.websocket.v1')) as ws:
+            channels = {}
+            while len(found) < 5 or any(len(item) < 100 for item in found.values()):
+                message = await ws.receive(TIME_OUT)
+                if message.type is aiohttp.WSMsgType.TEXT:
+                    text = json.loads(message.data)
+                    for channel in text.get('channels', ()):
+                        channels[channel['id']] = channel
+                        await ws.send_json({'op': 'subscribe', 'subscriptions': [
+                            {'id': channel['id'], 'channelId': channel['id']}]})
+                elif message.data[0] == 1:
+                    channel = channels[int.from_bytes(message.data[1:5], 'little')]
+                    if channel['topic'] != '/events':
+                        found.setdefault(channel['topic'], []).append(
+                            (int.from_bytes(message.data[5:13], 'little'), message.data[13:]))
+        return channels, found
+
+    return asyncio.run(look())
 
 
 def test_foxglove_gets_the_very_bytes(processes, tmp_path):
@@ -54,27 +83,7 @@ def test_foxglove_gets_the_very_bytes(processes, tmp_path):
         node.destroy_node()
         rclpy.shutdown()
 
-    async def look():
-        found = {}
-        async with aiohttp.ClientSession() as session, session.ws_connect(
-                address, protocols=('foxglove.sdk.v1', 'foxglove.websocket.v1')) as ws:
-            channels = {}
-            while len(found) < 5 or any(len(item) < 100 for item in found.values()):
-                message = await ws.receive(TIME_OUT)
-                if message.type is aiohttp.WSMsgType.TEXT:
-                    text = json.loads(message.data)
-                    for channel in text.get('channels', ()):
-                        channels[channel['id']] = channel
-                        await ws.send_json({'op': 'subscribe', 'subscriptions': [
-                            {'id': channel['id'], 'channelId': channel['id']}]})
-                elif message.data[0] == 1:
-                    channel = channels[int.from_bytes(message.data[1:5], 'little')]
-                    if channel['topic'] != '/events':
-                        found.setdefault(channel['topic'], []).append(
-                            (int.from_bytes(message.data[5:13], 'little'), message.data[13:]))
-        return channels, found
-
-    channels, found = asyncio.run(look())
+    channels, found = received(address)
     process.interrupt()
     data = read_run(tmp_path / 'run')
     assert {item['topic'] for item in channels.values()} == {f'/{name}' for name in CHANNELS}
@@ -85,8 +94,50 @@ def test_foxglove_gets_the_very_bytes(processes, tmp_path):
     for topic, messages in found.items():
         channel = data.channels[topic.strip('/')]
         decode = ArrayCodec(channel.labels).decode
-        rows = {row[0]: (row, when) for row, when in zip(
+        # A sample is published again while the loop starts.
+        recorded = {(tuple(row), when) for row, when in zip(
             channel.values.tolist(), channel.publish_time.tolist(), strict=True)}
         for when, payload in messages[:-20]:
-            numbers = list(decode(payload))
-            assert (numbers, when) == rows[numbers[0]]
+            assert (decode(payload), when) in recorded
+
+
+def test_foxglove_gets_the_rows_of_all_axes(processes, tmp_path):
+    pytest.importorskip('foxglove', reason='foxglove-sdk is not installed')
+    from std_msgs.msg import MultiArrayDimension
+
+    from dz_ros.nodes.ros import topics
+    axes = ('surge', 'sway', 'yaw')
+    server = processes(*NODE, 'foxglove_node', '--ros-args', '-p', 'foxglove_port:=0')
+    address = server.wait_for_line('foxglove: ').split()[-1].replace('ws://', 'http://')
+    process = processes(*DZ, 'run', 'rov_planar', '--quiet', '--duration', '600', '--record',
+                        tmp_path / 'run')
+    rclpy.init()
+    node = rclpy.create_node('of_others')
+    rival = node.create_publisher(topics.TYPES['terms'], 'terms', 10)
+    short = topics.TYPES['terms'](data=[0.0, 0.0])      # two rows announced, one there
+    short.layout.dim = [MultiArrayDimension(label=label, size=2, stride=stride)
+                        for label, stride in (('surge,sway', 4), ('seq,stamp', 2))]
+    try:
+        deadline = time.monotonic() + TIME_OUT
+        while 'terms: a row missing' not in server.output:
+            assert time.monotonic() < deadline, server.output
+            rival.publish(short)
+            time.sleep(0.1)
+    finally:
+        node.destroy_node()
+        rclpy.shutdown()
+    _, found = received(address)
+    process.interrupt()
+    data = read_run(tmp_path / 'run')
+    assert data.axes == axes
+    assert set(found) == {'/reference', '/state', '/command', '/terms', '/truth'}
+    for topic, messages in found.items():
+        channel = data.channels[topic.strip('/')]
+        decode = codec_for(channel.labels, axes).decode
+        # A sample is published again while the loop starts.
+        recorded = {(tuple(row), when) for row, when in zip(
+            channel.values.tolist(), channel.publish_time.tolist(), strict=True)}
+        for when, payload in messages[:-20]:
+            numbers = decode(payload)
+            assert len(numbers) == len(axes) * len(channel.labels)
+            assert (numbers, when) in recorded

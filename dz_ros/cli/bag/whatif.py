@@ -1,26 +1,38 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``dz bag whatif RUN --set KEY=VALUE …``: the recorded loop again with something changed."""
+"""``dz bag whatif RUN --set KEY=VALUE …``: the recorded loop again with something changed.
+
+Of a run of several axes all are simulated, with the change in each of them or in that of --axis.
+One axis alone is simulated where --axis names one that nothing couples to the others.
+"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 import time
 from typing import Any
 
 from dz_ros.cli.bag.compare import side_by_side
 from dz_ros.cli.bag.recover import beside
-from dz_ros.cli.offline import simulate_offline
-from dz_ros.cli.options import add_recording, read_one, refuse_existing, window
+from dz_ros.cli.offline import simulate_machine, simulate_offline
+from dz_ros.cli.options import add_recording, read_recording, refuse_existing, window
 from dz_ros.cli.output import note_run, print_lines
 from dz_ros.cli.progress import stage
-from dz_ros.core.loop.coupled import knows_others
+from dz_ros.core.dataset import RunData
 from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import flat_parameters, load_configuration
 from dz_ros.identification.estimation.prediction_error import Fit
-from dz_ros.replay.whatif import answer, plan
+from dz_ros.replay.whatif import (
+    answer,
+    answer_axes,
+    couples_axes,
+    of_axis,
+    plan,
+    plan_axes,
+)
 from dz_ros.report.compare import compare, write_comparison
+from dz_ros.runs.axes import axis_run, choose_axis
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Plan, simulate, compare, write.
 
     Raises:
-        ConfigurationError: Nothing to change.
+        ConfigurationError: Nothing to change, or a fit of axes that depend on each other.
         RunExistsError: The recording exists.
     """
     overrides = flat_parameters(None, arguments.overrides)
@@ -54,12 +66,32 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigurationError('--set', '', 'what if what? give KEY=VALUE, e.g. '
                                  'controller.epsilon=0.01')
     refuse_existing(arguments.record)
-    data = read_one(arguments)
-    given = None if arguments.config is None else flat_parameters(
-        arguments.config, namespace=arguments.namespace or '')
-    if given is not None and arguments.axis is not None:
-        given = load_configuration(arguments.config, (), arguments.namespace or '').axis(
-            arguments.axis).to_flat()
+    whole = read_recording(arguments.run, arguments.namespace)
+    given = _given(arguments, whole.axes)
+    if whole.axes and (arguments.axis is None or couples_axes(whole, given)):
+        return _all_axes(arguments, whole, overrides, given)
+    return _one_axis(arguments, choose_axis(whole, arguments.axis), overrides,
+                     given.get(arguments.axis or ''))
+
+
+def _given(arguments: argparse.Namespace, axes: tuple[str, ...]) -> dict[str, dict[str, Any]]:
+    """Return axis → the keys of --config; that of a run of one axis is called ''.
+
+    Raises:
+        ConfigurationError: The file cannot be used, or has no such axes.
+    """
+    if arguments.config is None:
+        return {}
+    namespace = arguments.namespace or ''
+    if not axes and arguments.axis is None:
+        return {'': flat_parameters(arguments.config, namespace=namespace)}
+    machine = load_configuration(arguments.config, (), namespace)
+    return {name: machine.axis(name).to_flat() for name in axes or (arguments.axis,)}
+
+
+def _one_axis(arguments: argparse.Namespace, data: RunData, overrides: Mapping[str, Any],
+              given: Mapping[str, Any] | None) -> int:
+    """Answer for a run of one axis, or for one axis that does not depend on others."""
     with stage('fitting the plant' if arguments.fit else 'reading what ran'):
         planned = plan(data, overrides, given=given, fit=arguments.fit)
     if planned.fit is not None:
@@ -67,32 +99,85 @@ def run(arguments: argparse.Namespace) -> int:
     begin = time.perf_counter()
     done = simulate_offline(planned.configuration, planned.memory)
     elapsed = time.perf_counter() - begin
-    alone = knows_others(planned.configuration)
     name = arguments.run.resolve().name
     made = answer(planned, done, name, time.time_ns())
+    _record(arguments, made, planned.memory or done.configuration.law.initial_memory())
+    out = arguments.out or beside(arguments.run, 'whatif')
+    page = _compare(arguments, {'': data}, {'': made}, overrides, out)
+    _conclude(arguments, data, planned.notes, f'{done.t[-1]:g} s of loop in {elapsed:.2g} s', page)
+    return 0
+
+
+def _all_axes(arguments: argparse.Namespace, whole: RunData, overrides: Mapping[str, Any],
+              given: Mapping[str, Mapping[str, Any]]) -> int:
+    """Answer for all axes of a machine; the change may be that of --axis, which is then shown.
+
+    Raises:
+        ConfigurationError: The plant is to be fitted, which is done for one axis.
+    """
+    axis = arguments.axis
+    if arguments.fit:
+        raise ConfigurationError('--fit', True, 'fits one axis that neither plant nor law couple '
+                                 'to others: choose it with --axis, or give the parameters')
+    if axis is not None:
+        choose_axis(whole, axis)
+        overrides = of_axis(overrides, axis)
+    with stage('reading what ran'):
+        planned = plan_axes(whole, overrides, given=given)
+    begin = time.perf_counter()
+    done = simulate_machine(planned.configuration, planned.memories)
+    elapsed = time.perf_counter() - begin
+    made = answer_axes(planned, done, arguments.run.resolve().name, time.time_ns())
+    _record(arguments, made, [number for memory, item in zip(
+        planned.memories, planned.configuration.each, strict=True)
+        for number in memory or item.law.initial_memory()])
+    shown = whole.axes if axis is None else (axis,)
+    page = _compare(arguments, {name: axis_run(whole, name) for name in shown},
+                    {name: axis_run(made, name) for name in shown}, overrides,
+                    arguments.out or beside(arguments.run, 'whatif'))
+    length = next(iter(done.values())).t[-1]
+    _conclude(arguments, whole, planned.notes, f'{length:g} s of loop, {len(done)} axes, in '
+              f'{elapsed:.2g} s', page)
+    return 0
+
+
+def _record(arguments: argparse.Namespace, made: RunData, memory: Sequence[float]) -> None:
+    """Write the answer where --record asks for it."""
     if arguments.record is not None:
         from dz_ros.recording.save import save_run, state_configuration
 
-        memory = planned.memory or done.configuration.law.initial_memory()
         with stage(f'writing {arguments.record}'):
             save_run(state_configuration(made, memory), arguments.record)
-    with stage('comparing, drawing pictures'):
-        comparison = compare({name: data, 'what if': made}, window=window(arguments),
-                             pulse=arguments.pulse)
-        page = write_comparison(comparison, arguments.out or beside(arguments.run, 'whatif'),
-                                title=f'{name}, and what if {_words(overrides) or "fitted"}'
-                                + (' (of this axis alone, the others at rest)' if alone else ''))
-    print_lines(side_by_side(comparison))
-    print_lines(f'note: {text}' for text in planned.notes)
-    if alone:
-        print_lines(['note: plant or law couple this axis to others; the answer is that of the '
-                     'axis alone, the others at rest'])
+
+
+def _compare(arguments: argparse.Namespace, runs: Mapping[str, RunData],
+             made: Mapping[str, RunData], overrides: Mapping[str, Any],
+             out: Path) -> Sequence[Path]:
+    """Compare each axis, write its page, of several in a folder of its own; print the numbers."""
+    name, pages = arguments.run.resolve().name, []
+    for axis, data in runs.items():
+        with stage('comparing, drawing pictures'):
+            comparison = compare({name: data, 'what if': made[axis]}, window=window(arguments),
+                                 pulse=arguments.pulse)
+            pages.append(write_comparison(
+                comparison, out / axis if len(runs) > 1 else out,
+                title=f'{name}{f", axis {axis}" if axis else ""}, and what if '
+                f'{_words(overrides) or "fitted"}'))
+        if axis:
+            print_lines([f'axis {axis}'])
+        print_lines(side_by_side(comparison))
+    return pages
+
+
+def _conclude(arguments: argparse.Namespace, data: RunData, notes: Sequence[str], done: str,
+              pages: Sequence[Path]) -> None:
+    """Print notes, how long it took, and what was written."""
+    print_lines(f'note: {text}' for text in notes)
     note_run(data)
-    print_lines(f'{done.t[-1]:g} s of loop in {elapsed:.2g} s')
+    print_lines([done])
     if arguments.record is not None:
-        print_lines(f'recording: {arguments.record}')
-    print_lines(f'comparison: {page}')
-    return 0
+        print_lines([f'recording: {arguments.record}'])
+    print_lines(f'comparison: {page}' for page in pages)
 
 
 def fit_lines(fit: Fit) -> Iterator[str]:

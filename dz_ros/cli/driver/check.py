@@ -27,7 +27,7 @@ from dz_ros.cli.output import print_json
 from dz_ros.cli.processes import check_rclpy, ParameterFiles, start_node, wait_or_kill
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.driven import DRIVERS
-from dz_ros.drivers.conformance.beside import Beside
+from dz_ros.drivers.beside import Beside, beside_others
 from dz_ros.drivers.conformance.driver_checks import check_contract, check_together
 from dz_ros.drivers.conformance.result import Result
 from dz_ros.drivers.hosted import HostedDriver
@@ -96,11 +96,16 @@ class Subject:
 def run(arguments: argparse.Namespace) -> int:
     """Check; print a line for each check; return 0, or 1 where one failed."""
     machine = _configuration(arguments)
-    names = machine.axis_names or ('',)
-    hosts = HostedDrivers(machine) if len(names) > 1 and not arguments.topics else None
-    subjects = [_subject(arguments, name, c, Beside(hosts, place) if hosts else None)
-                for place, (name, c) in enumerate(zip(names, machine.each, strict=True))
-                if arguments.axis is None or name in ('', arguments.axis)]
+    if arguments.axis is not None and not arguments.topics:
+        hosted = beside_others(machine, arguments.axis)
+        machine = machine.axis(arguments.axis)
+        subjects = [_subject(arguments, '', machine, hosted)]
+    else:
+        names = machine.axis_names or ('',)
+        hosts = HostedDrivers(machine) if len(names) > 1 and not arguments.topics else None
+        subjects = [_subject(arguments, name, c, Beside(hosts, place) if hosts else None)
+                    for place, (name, c) in enumerate(zip(names, machine.each, strict=True))
+                    if arguments.axis is None or name in ('', arguments.axis)]
     if arguments.topics:
         check_rclpy()
     _ask(arguments, machine, max(item.amplitude for item in subjects))
@@ -115,10 +120,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _configuration(arguments: argparse.Namespace) -> Configuration:
-    """Return the configuration of all axes to check, or of the one of --axis.
+    """Return the configuration of all axes.
 
     Raises:
-        ConfigurationError: It cannot be used, or it is not clear what to check.
+        ConfigurationError: It cannot be used, has no such axis, or it is not clear what to check.
     """
     name, config = arguments.name, arguments.config
     if name is not None and config is None and _is_configuration(name):
@@ -131,8 +136,7 @@ def _configuration(arguments: argparse.Namespace) -> Configuration:
         config or CONFIG, [*arguments.overrides, *chosen], arguments.namespace).replace(
         **{'loop.timing': 'realtime', 'loop.duration': 0.0, 'loop.peers': ['plant_node']})
     if arguments.axis is not None:
-        own = machine.axis(arguments.axis)
-        return machine if arguments.topics else own     # the node publishes all axes
+        machine.axis(arguments.axis)        # it has such an axis
     return machine
 
 

@@ -25,6 +25,8 @@ from dz_ros.cli.interrupt import NOTHING_KEPT, prompt_end
 from dz_ros.cli.options import (
     add_allow_import,
     add_configuration,
+    one_axis,
+    read_all_axes,
     read_configuration,
     read_recording,
 )
@@ -34,6 +36,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
 from dz_ros.core.design.finding import ERROR, worst
 from dz_ros.core.design.rules import check
+from dz_ros.drivers.beside import beside_others
 from dz_ros.errors import ConfigurationError, RunExistsError
 from dz_ros.files.configurations import flat_parameters, write_parameters
 from dz_ros.identification.estimation.pipeline import (
@@ -116,13 +119,15 @@ def _moved(arguments: argparse.Namespace,
     if arguments.config is None:
         raise ConfigurationError('CONFIG', '', 'must name the configuration of the device, or '
                                  'give --from RUN')
-    c = read_configuration(arguments)
+    machine = read_all_axes(arguments)
+    c = one_axis(machine, arguments.axis)
     limits, plan = build_limits(given_limits(arguments), c)
     experiment = Experiment(limits, plan, c.plant.order, c.loop.period, c.safety.safe_command)
-    ask(c, limits, plan, experiment.duration, arguments.yes)
+    hosted = beside_others(machine, arguments.axis, all_faults=True)
+    ask(c, limits, plan, experiment.duration, arguments.yes, hosted.others if hosted else ())
     start_ns = time.time_ns()
     try:
-        samples = move(c, experiment, arguments.namespace)
+        samples = move(c, experiment, arguments.namespace, hosted=hosted)
     except KeyboardInterrupt as end:
         raise KeyboardInterrupt('; '.join(filter(None, (str(end), NOTHING_KEPT)))) from None
     made = to_run(samples, c, start_ns)

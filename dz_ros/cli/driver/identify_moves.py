@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 import signal
 import sys
 import time
@@ -11,6 +11,7 @@ import time
 from dz_ros.cli.driver.stop_requests import stop_on_estop
 from dz_ros.cli.progress import Progress
 from dz_ros.core.configuration import Configuration
+from dz_ros.drivers.beside import Beside
 from dz_ros.errors import ConfigurationError, DriverError
 from dz_ros.identification.experiment.moves import Experiment
 from dz_ros.identification.experiment.plan import Limits, Plan
@@ -26,14 +27,26 @@ NOTHING_MOVED = 'nothing has moved'
 STOPPED_SAFELY = 'the device has had its safe command and is disabled'
 
 
-def ask(c: Configuration, limits: Limits, plan: Plan, duration: float, yes: bool) -> None:
+def ask(c: Configuration, limits: Limits, plan: Plan, duration: float, yes: bool,
+        others: Sequence[str] = ()) -> None:
     """Print what is going to move, and ask whether it may.
+
+    Args:
+        c: Names the driver.
+        limits: How far, fast and hard at most.
+        plan: The moves.
+        duration: Of all of it, at most [s].
+        yes: Whether it may without asking.
+        others: Axes that are enabled beside this one.
 
     Raises:
         ConfigurationError: There is no terminal to ask at.
         DriverError: The answer is not yes.
     """
     print(motion_text(c, limits, f'{plan.repeats} times ramps and steps both ways', duration))
+    if others:
+        print(f'its device is that of {", ".join(others)} too: enabled with it, at the safe '
+              'command')
     if not yes:
         ask_at_terminal()
 
@@ -74,7 +87,8 @@ def ask_at_terminal() -> None:
 
 def move(c: Configuration, experiment: Experiment, namespace: str,
          kept: Callable[[Samples], None] | None = None,
-         watch: Callable[[Experiment], str] = lambda _: '') -> Samples:
+         watch: Callable[[Experiment], str] = lambda _: '',
+         hosted: Beside | None = None) -> Samples:
     """Run an experiment through the configured driver.
 
     Args:
@@ -83,6 +97,7 @@ def move(c: Configuration, experiment: Experiment, namespace: str,
         namespace: Where the e-stop is.
         kept: Called with what was measured where it does not come to its end.
         watch: Called in each sample; returns why to stop, '' = go on.
+        hosted: What holds the driver beside those of other axes; None = it is alone.
 
     Raises:
         DriverError: The device fails, or it was stopped: the safe command has been sent.
@@ -103,7 +118,7 @@ def move(c: Configuration, experiment: Experiment, namespace: str,
             return stopping.reason or watch(experiment)
 
         try:
-            samples = run_session(c, experiment, wait, stopped, kept=kept)
+            samples = run_session(c, experiment, wait, stopped, hosted, kept)
         except StoppedError as stop:
             if str(stop) == signal.SIGINT.name:
                 raise KeyboardInterrupt(STOPPED_SAFELY) from stop

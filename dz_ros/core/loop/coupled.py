@@ -53,7 +53,7 @@ def simulate_axes(configuration: Configuration,
     if not configuration.axes:
         return {'': simulate_one(configuration)}
     if is_coupled(configuration):
-        return _simulate_together(configuration)
+        return simulate_together(configuration)
     return {name: simulate_one(item) for name, item in configuration.axes}
 
 
@@ -172,8 +172,18 @@ def own_first(rows: Sequence[Numbers], place: int) -> tuple[float, ...]:
                             for number in row))
 
 
-def _simulate_together(configuration: Configuration) -> dict[str, Run]:
-    """Return the loops of axes that a plant or a law couples, sample by sample."""
+def simulate_together(configuration: Configuration,
+                      memories: Sequence[Sequence[float] | None] = ()) -> dict[str, Run]:
+    """Return axis → its closed loop, of axes that a plant or a law couples, sample by sample.
+
+    Args:
+        configuration: What to run.
+        memories: The laws' memories before the first sample; None, or none at all = the initial
+            ones.
+
+    Raises:
+        OverflowError, ValueError: As of `simulate`.
+    """
     c = configuration
     each, period, count = c.each, c.loop.period, c.loop.samples + 1
     n, axes = c.plant.order, range(len(c.each))
@@ -182,7 +192,8 @@ def _simulate_together(configuration: Configuration) -> dict[str, Run]:
     observers = [observer_of(item) for item in each]
     watch = [[0.0] * item.size for item in observers]
     seen = [item.make_driver().measured for item in c.each]
-    memory = [item.law.initial_memory() for item in each]
+    memory = [tuple(begin) if begin is not None else item.law.initial_memory()
+              for item, begin in zip(each, memories or (None,) * len(each), strict=True)]
     behind = [0.0] * len(each)
     width = STATUS + 1 + len(c.law.signal_names)
     out = [{name: np.zeros((count, size)) for name, size in (

@@ -124,12 +124,23 @@ class ActuatorGuard:
             if not self.supervisor.running:
                 return None
         self.taken = command
-        refused = self.limiter.refused
+        before = self._refused()
         v = self.limiter.apply(command.v, t)
-        if self.limiter.refused != refused:
-            return self.fault('command beyond every number' + (
-                f' of one of the axes {", ".join(self._axes)}' if len(self._axes) > 1 else ''), t)
+        if (refused := self._refused()) != before:
+            return self.fault(self._whose(before, refused) + 'command beyond every number', t)
         return v
+
+    def _refused(self) -> tuple[int, ...]:
+        """Return the number of commands that the limiter of each axis has refused."""
+        return tuple(item.refused for item in getattr(self.limiter, 'each', (self.limiter,)))
+
+    def _whose(self, before: tuple[int, ...], after: tuple[int, ...]) -> str:
+        """Return how a reason begins that is of the axes whose numbers differ."""
+        if len(self._axes) < 2:
+            return ''
+        names = [axis for axis, one, other in zip(self._axes, before, after, strict=True)
+                 if one != other]
+        return f'{"axis" if len(names) == 1 else "axes"} {", ".join(names)}: '
 
     def poll(self, t: float, senders: int = 1) -> tuple[Any, float] | None:
         """Check for timeouts; return the safe command and since when it holds, if it is new.

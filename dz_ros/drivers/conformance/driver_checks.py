@@ -19,7 +19,7 @@ from typing import Any
 
 from dz_ros.core import schema
 from dz_ros.core.configuration import Configuration
-from dz_ros.drivers.conformance.beside import Beside
+from dz_ros.drivers.beside import Beside
 from dz_ros.drivers.conformance.machine import lateness, MachineWatch, overlap, RunQueue
 from dz_ros.drivers.conformance.result import Result
 from dz_ros.drivers.hosted import checked, error_text, HostedDriver

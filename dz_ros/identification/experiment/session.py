@@ -16,6 +16,7 @@ import numpy as np
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.safety.command_limiter import CommandLimiter
+from dz_ros.drivers.beside import Beside
 from dz_ros.drivers.hosted import HostedDriver
 from dz_ros.errors import DriverError
 from dz_ros.identification.experiment.moves import Experiment, STALL
@@ -34,7 +35,7 @@ class StoppedError(DriverError):
 
 def run_session(configuration: Configuration, experiment: Experiment,
                 wait: Callable[[int], int], stopped: Callable[[], str],
-                hosted: HostedDriver | None = None,
+                hosted: HostedDriver | Beside | None = None,
                 kept: Callable[[Samples], None] | None = None) -> Samples:
     """Run an experiment through the configured driver.
 
@@ -43,7 +44,7 @@ def run_session(configuration: Configuration, experiment: Experiment,
         experiment: What to do.
         wait: Waits for the sample; returns its number, which may be a later one.
         stopped: Why to stop, asked in each sample; '' = go on.
-        hosted: The driver; None = the configured one.
+        hosted: The driver, alone or beside those of other axes; None = the configured one, alone.
         kept: Called with what was measured where the experiment does not come to its end.
 
     Raises:
@@ -70,7 +71,7 @@ Rows = list[tuple[int, tuple[float, ...], float, int, str]]
 """seq, x, v, repeat and kind of each sample."""
 
 
-def _samples(rows: Rows, driver: HostedDriver, c: Configuration) -> Samples:
+def _samples(rows: Rows, driver: HostedDriver | Beside, c: Configuration) -> Samples:
     return Samples(np.array([item[0] for item in rows], dtype=np.int64),
                    np.array([item[1] for item in rows], dtype=float),
                    np.array([item[2] for item in rows], dtype=float),
@@ -78,7 +79,7 @@ def _samples(rows: Rows, driver: HostedDriver, c: Configuration) -> Samples:
                    tuple(item[4] for item in rows), driver.measured, c.loop.period)
 
 
-def _driven(configuration: Configuration, experiment: Experiment, driver: HostedDriver,
+def _driven(configuration: Configuration, experiment: Experiment, driver: HostedDriver | Beside,
             limiter: CommandLimiter, wait: Callable[[int], int], stopped: Callable[[], str],
             rows: Rows) -> None:
     """Open the driver, run the experiment, close the driver whatever happens."""
@@ -98,8 +99,9 @@ def _driven(configuration: Configuration, experiment: Experiment, driver: Hosted
         driver.close()
 
 
-def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver, limiter: CommandLimiter,
-          wait: Callable[[int], int], stopped: Callable[[], str], rows: Rows) -> None:
+def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver | Beside,
+          limiter: CommandLimiter, wait: Callable[[int], int], stopped: Callable[[], str],
+          rows: Rows) -> None:
     """Run it; whatever ends it, the last thing the driver is given is the safe command."""
     nothing = (math.nan,) * c.plant.order
     seq, over, stall = 0, 0, -math.inf

@@ -14,6 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
+from dz_ros.core.axes import MAX_DIAGNOSTIC_VALUES
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.events import ConfigurationEvent, ModeEvent
 from dz_ros.core.text import LONGEST, printable
@@ -40,8 +41,8 @@ NODE_TIMEOUT = 3.0
 """A node without diagnostics for this long is not there any more [s]."""
 KEPT_EVENTS = 300
 """Events kept for viewers that come later."""
-MAX_NODES, MAX_VALUES = 64, 200
-"""Nodes, and values of each, that are shown."""
+MAX_NODES = 64
+"""Nodes that are shown."""
 MAX_ARRAY_BYTES = 1 << 17
 """Longest message of numbers that is decoded [bytes]."""
 MAX_URGENT_EVENT = 1 << 14
@@ -283,7 +284,7 @@ class LiveLoop(Source):
                     'node': status.name, 'level': status.level[0],
                     'message': printable(status.message, LONGEST), 'received': now, 'values': {
                         printable(item.key, LONGEST): printable(item.value, LONGEST)
-                        for item in status.values[:MAX_VALUES]}}
+                        for item in status.values[:MAX_DIAGNOSTIC_VALUES]}}
 
     def _stamp_of(self, when: float) -> float:
         """Return the loop time of an instant [s since the epoch], as near as rows show."""

@@ -11,10 +11,10 @@ import can
 import pytest
 
 from dz_ros.core import schema
+from dz_ros.drivers.beside import Beside
 from dz_ros.drivers.cia402.emulator import Cia402Emulator, EmulatedParameters, FAULTS
 from dz_ros.drivers.cia402.states import DriveState
 from dz_ros.drivers.conformance import driver_checks
-from dz_ros.drivers.conformance.beside import Beside
 from dz_ros.drivers.conformance.driver_checks import check_contract, check_together
 from dz_ros.drivers.emulators import Fault
 from dz_ros.drivers.hosted_axes import HostedDrivers

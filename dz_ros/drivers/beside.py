@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One axis of several under test, the drivers of the others open beside it (ours).
+"""One axis of several, checked or identified, the drivers of the others open beside it (ours).
 
 Axes may be devices of one bus or board, which is there for all of them or for none: all are
 opened, enabled and stopped together, and while one is commanded the others get their safe command.
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.hosted_axes import HostedDrivers
 
 
@@ -17,17 +18,22 @@ class Beside:
 
     Args:
         hosts: The drivers of all axes.
-        place: Which one is under test.
+        place: Which one is commanded.
+        all_faults: Whether a fault of any axis is one of this axis, as in a loop; the conformance
+            kit wants its own alone.
 
     Attributes:
-        own: What holds the driver under test.
-        driver: The driver under test.
+        own: What holds the driver of this axis.
+        driver: The driver itself.
+        others: Names of the other axes.
         measured: Number of the states x, x', … that it measures.
     """
 
-    def __init__(self, hosts: HostedDrivers, place: int) -> None:
+    def __init__(self, hosts: HostedDrivers, place: int, all_faults: bool = False) -> None:
         self._hosts = hosts
         self._place = place
+        self._all_faults = all_faults
+        self.others = tuple(name for name in hosts.names if name != hosts.names[place])
         self.own = hosts.each[place]
         self.driver = self.own.driver
         self.measured = self.own.measured
@@ -67,9 +73,9 @@ class Beside:
         """Commands beyond its limit."""
         return self.own.saturated
 
-    def command(self, v: float, t: float) -> None:
-        """Give it a command, the others the safe one."""
-        self._hosts.command(self._row(v), t)
+    def command(self, v: float, t: float) -> float:
+        """Give it a command, the others the safe one; return what it was given."""
+        return self._hosts.command(self._row(v), t)[self._place]
 
     def safe(self, v: float, t: float) -> None:
         """Have all go to their safe states."""
@@ -85,12 +91,13 @@ class Beside:
         return found[self._place]
 
     def fault(self) -> str:
-        """Return what is wrong with it; '' = nothing."""
-        return self.own.fault()
+        """Return what is wrong with it, or with any axis; '' = nothing."""
+        return self._hosts.fault() if self._all_faults else self.own.fault()
 
     def recover(self) -> str:
-        """Have all try to leave their faults; return why its own lasts."""
-        return [item.recover() for item in self._hosts.each][self._place]
+        """Have all try to leave their faults; return why its own lasts, or that of any axis."""
+        own = [item.recover() for item in self._hosts.each][self._place]
+        return self._hosts.fault() if self._all_faults else own
 
     def disable(self, v: float, t: float) -> str:
         """Disable all; return what went wrong."""
@@ -104,3 +111,26 @@ class Beside:
         rows: list[Any] = [item.safe_command for item in self._hosts.each]
         rows[self._place] = v
         return tuple(rows)
+
+
+def beside_others(machine: Configuration, axis: str | None,
+                  all_faults: bool = False) -> Beside | None:
+    """Return what holds the driver of an axis whose device is that of other axes too.
+
+    Args:
+        machine: Of all axes.
+        axis: Name of the axis.
+        all_faults: As of `Beside`.
+
+    Returns:
+        None where its driver can be opened alone; the other axes are then left aside.
+
+    Raises:
+        ConfigurationError: A driver does not go with the loop.
+    """
+    if axis is None or len(machine.axes) < 2:
+        return None
+    hosts = HostedDrivers(machine)
+    place = hosts.names.index(axis)
+    shared = hosts.each[place].driver.device_shared
+    return Beside(hosts, place, all_faults) if shared else None
