@@ -29,7 +29,7 @@ OWN_MARGIN = 0.8
 """A margin of the law's own may use this share of where its integral makes the loop chatter."""
 RATIO, LEAST = 0.85, 0.1
 """K is lowered by this factor at a time, down to this share."""
-ROOM = 1.1
+ROOM = 1.05
 """The matrix must be calm up to this many times the largest b m: just below the limit oscillations
 fade slowly."""
 HALVINGS = 5
