@@ -7,7 +7,7 @@
     β   = b_max m_max,   K0 = f μ_d/(β T)                      the steepest layer with margin f
     f   = the configured one where the law has one, at most 0.8 of where its integral chatters
     K0  is lowered, and what follows it, until the rules of `dz check` on chatter, observer and
-          guard have nothing to say (`dz_ros.studies.tune_layer`)
+          guard give no warning (`dz_ros.studies.tune_layer`)
     k_d = the configured one, at most K0/3                    so that the rest of K is k*/ε
     ε   = k*/(K0 − k_d − (n−1) λ φ̂)                            not where the law makes its own;
           with an integral or an observed velocity K0 is half of where all together chatter

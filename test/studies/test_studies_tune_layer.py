@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Proposals from positions alone and under noise: calm, and `dz check` has nothing to say."""
+"""Proposals from positions alone and under noise: calm, and `dz check` gives no warning."""
 
 import numpy as np
 import pytest

@@ -68,7 +68,7 @@ CELL = 1.02
 ROUNDS = 12
 """Largest number of enlargements of the tube."""
 PART, FEW_CELLS = 20, 4
-"""Where a gain is looked for: every so many intervals of the reference, so many cells of β."""
+"""Where a gain is searched: every 20th interval of the reference, 4 cells of β."""
 ROUGH = 0.25
 """A regressor that changes by more than this share in a sample is taken as arbitrary."""
 
