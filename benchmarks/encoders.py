@@ -1,10 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy of `robust_eso` from positions alone, by resolution of the encoder and by observer.
+"""Positions alone: how much lower K must be, and the accuracy of `robust_eso` by encoder.
 
-    python benchmarks/encoders.py            print the table
-    python benchmarks/encoders.py --write    write it into docs/encoders.md
+    python benchmarks/encoders.py            print the tables
+    python benchmarks/encoders.py --gains    only that of the gains
+    python benchmarks/encoders.py --write    write them into docs/encoders.md
 
-The example's plant, its x read as an angle in rad; gains by the rules for encoders
+Gains: the servo of `joint`, its bounds and its reference; the K that `dz tune` proposes, with a
+measured velocity and with one that is observed, and the largest K without chatter for a delay of 0
+and 1 by the spectral radius, each with the other gains that are proposed with it.
+
+Accuracy: the example's plant, its x read as an angle in rad; gains by the rules for encoders
 (`dz_ros.core.laws.robust_eso_gains.gains_for_encoder`), the rate of `levant` the best of a list.
 Errors are max|x̃| over the last half of 60 s; TV is the total variation of v per second.
 """
@@ -22,9 +27,14 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws.robust_eso_gains import gains_for_encoder, OBSERVER_RATE
 from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.files.configurations import load_configuration
+from dz_ros.studies.tune import tune
+from dz_ros.studies.tune_layer import steepest_gain
 
 PAGE = Path(__file__).resolve().parent.parent / 'docs' / 'encoders.md'
 BEGIN, END = '<!-- table -->', '<!-- end of table -->'
+GAINS, GAINS_END = '<!-- gains -->', '<!-- end of gains -->'
+LAWS = ('robust', 'robust_eso', 'wang2004')
+RESOLUTIONS = (0.0, 1e-4, 1e-3)
 BITS = (17, 16, 14, 12)
 CASES = (('nominal', {}), ('b = 0.5', {'plant.b': 0.5}), ('delay 1', {'loop.delay': 1}),
          ('b = 2, delay 1', {'plant.b': 2.0, 'loop.delay': 1}))
@@ -40,11 +50,48 @@ def reach(c: Configuration) -> tuple[float, float]:
     return (error, variation) if error < 1.0 else (math.inf, math.inf)
 
 
+def gain_lines() -> list[str]:
+    """Return the table of K with a measured velocity and with positions alone."""
+    lines = ['| law | step of the encoder | largest K, measured | positions alone '
+             '| K of `dz tune`, measured | positions alone | share |', f'|{"---|" * 7}']
+    print(*lines, sep='\n', flush=True)
+    for law in LAWS:
+        base = load_configuration('joint', [f'controller.law={law}', 'loop.duration=8'])
+        measured = tune(base).after
+        own = steepest_gain(measured)
+        for step in RESOLUTIONS:
+            alone = base.replace(**{'driver.measured': 1, 'driver.resolution': step,
+                                    'plant.resolution': step})
+            proposed = tune(alone).after
+            found = proposed.law.design
+            assert found is not None
+            assert measured.law.design is not None
+            share = found.gain / measured.law.design.gain
+            lines.append(f'| `{law}` | {f"{step:g} rad" if step else "none"} | {own:.0f} '
+                         f'| {steepest_gain(proposed):.0f} | {measured.law.design.gain:.0f} '
+                         f'| {found.gain:.0f} | {share:.2f} |')
+            print(lines[-1], flush=True)
+    return lines
+
+
+def put(lines: list[str], begin: str, end: str) -> None:
+    """Put a table between its marks on the page."""
+    text = PAGE.read_text(encoding='utf-8')
+    PAGE.write_text(f'{text.split(begin)[0]}{begin}\n' + '\n'.join(lines)
+                    + f'\n{end}{text.split(end)[1]}', encoding='utf-8')
+
+
 def main() -> int:
     """Measure all resolutions and observers."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument('--write', action='store_true', help=f'write the table into {PAGE.name}')
+    parser.add_argument('--gains', action='store_true', help='only the table of gains')
     arguments = parser.parse_args()
+    lines = gain_lines()
+    if arguments.write:
+        put(lines, GAINS, GAINS_END)
+    if arguments.gains:
+        return 0
     titles = [name for name, _ in CASES]
     lines = ['| encoder | K | observer | ω | ' + ' | '.join(titles) + ' | TV |',
              f'|{"---|" * (5 + len(titles))}']
@@ -67,9 +114,7 @@ def main() -> int:
                          f'| {c.driver_settings.observer:.0f} | {numbers} | {found[0][1]:.0f} |')
             print(lines[-1], flush=True)
     if arguments.write:
-        text = PAGE.read_text(encoding='utf-8')
-        PAGE.write_text(f'{text.split(BEGIN)[0]}{BEGIN}\n' + '\n'.join(lines)
-                        + f'\n{END}{text.split(END)[1]}', encoding='utf-8')
+        put(lines, BEGIN, END)
     return 0
 
 

@@ -6,9 +6,11 @@
                                                               disturbance, integral
     β   = b_max m_max,   K0 = f μ_d/(β T)                      the steepest layer with margin f
     f   = the configured one where the law has one, at most 0.8 of where its integral chatters
+    K0  is lowered, and what follows it, until the rules of `dz check` on chatter, observer and
+          guard give no warning (`dz_ros.studies.tune_layer`)
     k_d = the configured one, at most K0/3                    so that the rest of K is k*/ε
     ε   = k*/(K0 − k_d − (n−1) λ φ̂)                            not where the law makes its own;
-          with an integral K0 is half of where the two together chatter
+          with an integral or an observed velocity K0 is half of where all together chatter
     γ, η = c k_d/(T max(|Y|² + u_d²)) along the reference,  c = 1/80
     φ̂   in [1/(b_max m_max), 1/(b_min m_min)], θ̂_i in a_i times that, each a fifth wider; they
           start in the middle
@@ -18,7 +20,9 @@
           found by simulation; at most the configured λ times 4
 
 The gains of `robust_eso` follow its own rules (`dz_ros.core.laws.robust_eso_gains`), those for an
-encoder where the velocity is not measured; its start is slowed down until it keeps the effort.
+encoder where the velocity is not measured; K0 and all that follows it are lowered, then ω_o, until
+the same rules are kept; its start is slowed down until it keeps the effort. Where no K0 keeps them
+the proposal is the steepest one, with what `dz check` warns of.
 c gives the order of the paper's gains on the paper's example. a_i are those of the plant's model:
 where they are guesses, widen θ's bounds. Nothing here is optimal; it is safe to start from.
 
@@ -35,7 +39,6 @@ from dz_ros.core.design.along_reference import disturbance_along_reference
 from dz_ros.core.design.boundary_layer import chatter_limit
 from dz_ros.core.design.command_steps import COMMAND_STEPS
 from dz_ros.core.design.finding import Finding, INFO
-from dz_ros.core.design.linear_loop import largest_gain
 from dz_ros.core.design.observation import measured_steps, sensor_noise, state_noise
 from dz_ros.core.design.robust_gain import (
     dead_zone_bound,
@@ -55,20 +58,23 @@ from dz_ros.core.laws.robust_eso_gains import (
     SHARE as ESO_SHARE,
 )
 from dz_ros.core.schema import fields
-from dz_ros.core.tracking import feed_forward_weights
 from dz_ros.errors import ConfigurationError
 from dz_ros.studies.outcome import Row, run_row
+from dz_ros.studies.tune_layer import MARGIN, settled, suits, with_layer
 
-MARGIN = 0.5
-"""f, share of the chatter limit that K uses where the law has no margin of its own."""
 ADAPTATION = 1.0 / 80.0
 """c of γ and η."""
 WIDER = 0.2
 """Projection bounds are this much wider than what the bounds of plant and dead-zone give."""
-OWN_MARGIN = 0.8
-"""A margin of the law's own may use this share of where its integral makes the loop chatter."""
 STEEP = 8.0
 """λ from which on the outer gain k_2 raises the peak of plants with velocity regressors [1/s]."""
+LOWERED = ('controller.margin', 'controller.k_d', 'controller.gamma', 'controller.eta',
+           'controller.k_2')
+"""What is lowered with K."""
+FOLLOW_GAIN = ('layer_gain', 'lambda', 'start_rate', 'observer_rate', 'k_2')
+"""Gains of `robust_eso` that are shares of K0."""
+SLOWER_OBSERVERS = (1.0, 0.67, 0.42)
+"""Shares of ω_o that are tried where no K0 keeps the rules."""
 SLOT, NOISE = 0.3, 0.1
 """ρ0 over k*; σ of v over k* from which on a set is the quiet one."""
 STEPS = (4.0, 2.83, 2.0, 1.41, 1.0, 0.71, 0.5, 0.35, 0.25, 0.18, 0.125)
@@ -125,6 +131,10 @@ def tune(c: Configuration, effort: float = 0.0, disturbance: float | None = None
     changes = {key: values[key][0] for key in reasons}
     tuned, why = _with_lambda(c, changes, effort)
     reasons['controller.lambda'] = why
+    flat = tuned.to_flat()
+    for key in LOWERED:
+        if key in changes and key != 'controller.epsilon' and flat[key] < changes[key]:
+            reasons[key] += f'; lowered from {changes[key]:.4g} by the rules on the layer'
     return _proposal(c, tuned, reasons)
 
 
@@ -158,10 +168,8 @@ def _from_rules(c: Configuration, design: Design, delta: float) -> dict[str, tup
     k_star = least_robust_gain(bound, known.m_bounds[0], known.b_bounds[0], delta, share)
     delay = max(c.loop.delay, 1)
     derived = derives_epsilon(gains)
-    chatters = largest_gain(c.law.layer_model, c.loop.period, high, delay)
-    limit = chatter_limit(delay) / (high * c.loop.period)
-    margin = min(gains.margin, OWN_MARGIN * chatters / limit) if derived else MARGIN
-    steepest = margin * limit
+    margin = gains.margin if derived else MARGIN
+    steepest = margin * chatter_limit(delay) / (high * c.loop.period)
     k_d = min(gains.k_d, steepest / 3.0)
     phi = (1.0 / high / (1.0 + WIDER), (1.0 + WIDER) / low)
     start = 0.5 * (1.0 / high + 1.0 / low)
@@ -173,7 +181,7 @@ def _from_rules(c: Configuration, design: Design, delta: float) -> dict[str, tup
         'k_d': (k_d, f'at most a third of K0 = {steepest:.4g}'),
         'beta': (high, 'b_max m_max'),
         'design_delay': (delay, 'the loop takes up to this many samples'),
-        'margin': (margin, 'as configured, calm with the integral at this delay'),
+        'margin': (margin, 'as configured'),
         'gamma': (rate, 'slow against the layer, from max(|Y|² + u_d²) along the reference'),
         'eta': (rate, 'as gamma'),
         'phi_0': (start, 'middle of 1/(b m)'),
@@ -186,7 +194,8 @@ def _from_rules(c: Configuration, design: Design, delta: float) -> dict[str, tup
         'k_2': (2.0 * k_d, '2 k_d; 0 from λ = 8 on where regressors hang on velocities'),
         'v_max': (c.plant_settings.command_limit or getattr(gains, 'v_max', 0.0),
                   "the actuator's limit, 0 = none"),
-        'epsilon': (0.0, f'{MARGIN:g} of the slope at which the loop chatters at delay {delay}'),
+        'epsilon': (0.0, f'at most {MARGIN:g} of the slope at which the loop chatters at delay '
+                         f'{delay}'),
     }.items() if key not in (('epsilon',) if derived else ('margin', 'beta', 'design_delay'))}
 
 
@@ -232,9 +241,15 @@ def _with_observer(c: Configuration, design: Design, delta: float,
         gains['k_d'] = min(gains['k_d'], gains['layer_gain'] / 6.0)
         for key in ('layer_gain', 'lambda', 'start_rate', 'observer_rate', 'k_2'):
             reasons[key] = f'the velocity is observed, from noise of {sigma:.3g}'
-    changes = {f'controller.{key}': item for key, item in gains.items()}
+    changes, by_sensor = {f'controller.{key}': item for key, item in gains.items()}, dict(gains)
     if driver.measured < c.plant.order:
         changes['driver.observer'] = 0.0
+    changes |= _calmest(c, changes)
+    gains |= {key: changes[f'controller.{key}'] for key in gains}
+    for key in FOLLOW_GAIN:
+        if gains[key] < by_sensor[key]:
+            reasons[key] += f'; lowered from {by_sensor[key]:.4g} by the rules on the layer'
+    if driver.measured < c.plant.order:
         rate = OBSERVER_RATE * gains['layer_gain'] * gains['input_gain']
         reasons['driver.observer'] = f'0 = by rule, {rate:.4g} rad/s'
     changed = {key if '.' in key else f'controller.{key}': why for key, why in reasons.items()
@@ -252,6 +267,24 @@ def _with_observer(c: Configuration, design: Design, delta: float,
     raise ConfigurationError('--effort', effort, 'no start keeps within it; the least peak |v| '
                              f'found is {smallest:.4g}: start nearer to the reference or allow '
                              'more')
+
+
+def _calmest(c: Configuration, changes: dict[str, Any]) -> dict[str, Any]:
+    """Return the gains of `robust_eso` that follow K0, lowered until they suit, by key."""
+    keys = tuple(f'controller.{key}' for key in FOLLOW_GAIN)
+    for slower in SLOWER_OBSERVERS:
+        def made(share: float, slower: float = slower) -> Configuration:
+            scaled = {key: share * changes[key] for key in keys}
+            scaled['controller.observer_rate'] *= slower
+            scaled['controller.k_d'] = min(changes['controller.k_d'],
+                                           scaled['controller.layer_gain'] / 6.0)
+            return c.replace(**{**changes, **scaled})
+
+        found = settled(made)
+        if suits(found):
+            flat = found.to_flat()
+            return {key: flat[key] for key in (*keys, 'controller.k_d')}
+    return {}
 
 
 def feels_velocity(c: Configuration) -> bool:
@@ -285,9 +318,12 @@ def _power(c: Configuration) -> float:
 
 def _with_lambda(c: Configuration, changes: dict[str, Any],
                  effort: float) -> tuple[Configuration, str]:
-    """Return the configuration with the steepest λ that is calm and within the effort."""
+    """Return the configuration with the steepest λ that is calm and within the effort.
+
+    One that suits the rules on the layer comes first, one that does not where none does.
+    """
     given = float(c.law.gains.lambda_)
-    smallest = float('inf')
+    smallest, second = float('inf'), None
     limit = 0.5 * lambda_limit(_first(c, changes, given))
     for step in STEPS:
         slope = step * given
@@ -304,7 +340,12 @@ def _with_lambda(c: Configuration, changes: dict[str, Any],
         if not effort or row['v_peak_run'] <= effort:
             peak = f', peak |v| {row["v_peak_run"]:.4g}'
             peak += f' within {effort:.4g}' if effort else ''
-            return tried, f'at most half of where the loop is lost, {2.0 * limit:.4g}{peak}'
+            words = f'at most half of where the loop is lost, {2.0 * limit:.4g}{peak}'
+            if suits(tried):
+                return tried, words
+            second = second or (tried, words)
+    if second is not None:
+        return second
     raise ConfigurationError('--effort', effort, 'no slope keeps within it; the least peak |v| '
                              f'found is {smallest:.4g}: start nearer to the reference or allow '
                              'more')
@@ -325,25 +366,12 @@ def _first(c: Configuration, changes: dict[str, Any], given: float) -> Configura
 
 
 def proposal_at(c: Configuration, changes: dict[str, Any], slope: float) -> Configuration:
-    """Return the configuration with this λ and, where the law has them, the ε and k_2 it allows.
+    """Return the configuration with this λ and, where the law has them, the layer and k_2.
 
     Raises:
         ConfigurationError: No ε is wide enough.
     """
     values = {**changes, 'controller.lambda': slope}
-    if 'controller.epsilon' in values:
-        known = c.controller_settings
-        beta = known.b_bounds[1] * known.m_bounds[1]
-        lead = feed_forward_weights(slope, c.plant.order)[-1] * values['controller.phi_0']
-        tried = c.replace(**{key: item for key, item in values.items()
-                             if key != 'controller.epsilon'})
-        steepest = MARGIN * (lead + largest_gain(tried.law.layer_model, c.loop.period, beta,
-                                                 max(c.loop.delay, 1)))
-        room = steepest - values['controller.k_d'] - lead
-        if room <= 0.0:
-            raise ConfigurationError('controller.lambda', slope, f'no layer is wide enough at '
-                                     f'{c.loop.rate:g} Hz')
-        values['controller.epsilon'] = values['controller.k_star'] / room
     if slope >= STEEP and 'controller.k_2' in values and feels_velocity(c):
         values['controller.k_2'] = 0.0
-    return c.replace(**values)
+    return with_layer(c, values)

@@ -29,6 +29,7 @@ Over 300 lines: one theorem, from the reference's derivatives to the verdict.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+import copy
 from dataclasses import dataclass, replace
 import math
 from typing import Any
@@ -37,6 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.design.certified_gain import which_gain
 from dz_ros.core.design.intervals import (
     Jet,
     join,
@@ -65,6 +67,8 @@ CELL = 1.02
 """Ratio of the ends of a cell of β."""
 ROUNDS = 12
 """Largest number of enlargements of the tube."""
+PART, FEW_CELLS = 20, 4
+"""Where a gain is searched: every 20th interval of the reference, 4 cells of β."""
 ROUGH = 0.25
 """A regressor that changes by more than this share in a sample is taken as arbitrary."""
 
@@ -82,7 +86,8 @@ class DelayBounds:
         slot_bound, v_bound: Bounds on the law's slot and on |v| [actuator unit].
         fade: Time in which what the loop began with falls to a thousandth [s].
         failed: Inequalities that do not hold, as text.
-        change: Gains that would do, as text; empty = nothing to change, or none known.
+        change: Gains that would do, as text; empty = nothing to change, or none known. Where there
+            is no bound they are found by `certified_gain` and have a certificate.
     """
 
     delay: int
@@ -177,12 +182,19 @@ class _Reference:
         self.ways = Ways()
         count = min(MOST_STEPS, math.ceil(span / STEP))
         self.edges = np.linspace(0.0, span, count + 1)
+        self.looked_at = range(count)
         self.evaluate, self.regressors, self.disturbance = (
             with_jets(item) for item in (c.trajectory.evaluate, c.plant.regressors,
                                          c.plant.disturbance))
         self.terms = np.array([self._over(k, None) for k in range(count)])
         # A derivative that jumps has one less that is bounded.
         self.smooth = 1 if self.ways.branched else SMOOTH
+
+    def part(self) -> _Reference:
+        """Return it with `change` and `rate` of some of its intervals only: no bounds, a guess."""
+        found = copy.copy(self)
+        found.looked_at = self.looked_at[::PART]
+        return found
 
     def _instant(self, k: int) -> Any:
         middle = 0.5 * (self.edges[k] + self.edges[k + 1])
@@ -224,16 +236,15 @@ class _Reference:
 
     def change(self, tube: Array) -> Array:
         """Return how much Y_1 …, disturbance differ at most from those on x_d, shape (r + 1,)."""
-        found = np.array([self._over(k, tube)[1:] for k in range(len(self.edges) - 1)])
+        found = np.array([self._over(k, tube)[1:] for k in self.looked_at])
         steep = np.abs(found[:, :, 1]).max(axis=(0, 2))
         wide = (found[:, :, 0, 1] - found[:, :, 0, 0]).max(axis=0)
         return np.asarray(np.minimum(steep, wide) * (1.0 + 1e-15))
 
     def rate(self, tube: Array) -> Array:
         """Return how fast these differences change at most, shape (r + 1,)."""
-        count = len(self.edges) - 1
-        own = np.array([self._over(k, tube, "e'")[1:, 1] for k in range(count)])
-        along = np.array([self._over(k, tube, "x_d'")[1:, 1] for k in range(count)])
+        own = np.array([self._over(k, tube, "e'")[1:, 1] for k in self.looked_at])
+        along = np.array([self._over(k, tube, "x_d'")[1:, 1] for k in self.looked_at])
         return np.asarray((np.abs(own).max(axis=2) + along[:, :, 1] - along[:, :, 0]).max(axis=0)
                           * (1.0 + 1e-12))
 
@@ -318,8 +329,8 @@ class _Delay:
         self.sent = [self.balls[-1], *self.balls[:-1], arb(0)]      # ff
         self.forward = float(_sup(self.sent, reference.terms)[0])
 
-    def cells(self) -> list[_Cell] | None:
-        """Return the cells of β; None where one has no stable loop."""
+    def cells(self, full: bool = True) -> list[_Cell] | None:
+        """Return the cells of β, if not `full` a few; None where one has no stable loop."""
         known = self.c.controller_settings
         low = known.b_bounds[0] * known.m_bounds[0]
         high = known.b_bounds[1] * known.m_bounds[1]
@@ -327,7 +338,9 @@ class _Delay:
         edges = np.geomspace(low, high, count + 1)
         edges[0], edges[-1] = low, high
         found = []
-        for k in range(count):
+        chosen = range(count) if full else np.unique(
+            np.linspace(0, count - 1, FEW_CELLS).astype(int))
+        for k in chosen:
             cell = self._cell(float(edges[k]), float(edges[k + 1]))
             if cell is None:
                 return None
@@ -425,7 +438,11 @@ def certify(configuration: Configuration, delays: Sequence[int] = (0, 1),
     load_flint()
     c = bare(configuration)
     span = c.loop.duration or SPAN
-    found = tuple(resting_estimates(c, span) if estimates is None else estimates)
+
+    def resting(item: Configuration) -> tuple[tuple[float, float], ...]:
+        return tuple(resting_estimates(item, span) if estimates is None else estimates)
+
+    found = resting(c)
     known = c.controller_settings
     beta = (known.b_bounds[0] * known.m_bounds[0], known.b_bounds[1] * known.m_bounds[1])
     with load_flint().ctx.workprec(PRECISION):
@@ -433,25 +450,43 @@ def certify(configuration: Configuration, delays: Sequence[int] = (0, 1),
         bounds: list[DelayBounds] = []
         for delay in delays:
             progress(len(bounds), len(delays), f'delay {delay}')
-            bounds.append(_one_delay(c, reference, np.asarray(found), delay))
+            item = _one_delay(c, reference, np.asarray(found), delay)
+            if not item.error_bound:
+                progress(len(bounds), len(delays), f'delay {delay}: which gain would do')
+                item = replace(item, change=_which_gain(c, reference, resting, delay))
+            bounds.append(item)
         progress(len(bounds), len(delays), '')
     return Certificate(tuple(bounds), found, beta,
                        *_words(configuration, c, found, beta, span, delays))
 
 
+def _which_gain(c: Configuration, reference: _Reference,
+                resting: Callable[[Configuration], Sequence[tuple[float, float]]],
+                delay: int) -> str:
+    """Return which gain would do at this delay, as text."""
+    part, near = reference.part(), np.asarray(resting(c))
+
+    def bounds_of(tried: Configuration, full: bool) -> DelayBounds:
+        if full:
+            return _one_delay(tried, reference, np.asarray(resting(tried)), delay)
+        return _one_delay(tried, part, near, delay, full=False)
+
+    return which_gain(c, delay, bounds_of)
+
+
 def _one_delay(c: Configuration, reference: _Reference, estimates: Array,
-               delay: int) -> DelayBounds:
+               delay: int, full: bool = True) -> DelayBounds:
+    """Return what was shown for one delay; not `full`: of a few cells of β, to be verified."""
     loop = _Delay(c, reference, estimates, delay)
     n, design = c.plant.order, loop.design
-    cells = loop.cells()
+    cells = loop.cells(full)
     if cells is None:
         known = c.controller_settings
         high = known.b_bounds[1] * known.m_bounds[1]
         calm = largest_beta(loop.model, c.loop.period, delay)
         return DelayBounds(
             delay, False, (), (), math.inf, design.epsilon, math.inf, math.inf, math.inf,
-            (f'spectral radius < 1 up to b m = {high:.4g}: it is below 1 up to {calm:.4g} only',),
-            'make K smaller, see dz check')
+            (f'spectral radius < 1 up to b m = {high:.4g}: it is below 1 up to {calm:.4g} only',))
     tube = np.zeros(n + 1)
     verified = False
     for _ in range(ROUNDS):
@@ -469,7 +504,7 @@ def _one_delay(c: Configuration, reference: _Reference, estimates: Array,
     if not verified:
         return DelayBounds(delay, False, (), (), math.inf, design.epsilon, math.inf, math.inf,
                            fade, ('a tube |x̃_i| <= E_i that the loop does not leave: every one '
-                                  'leads to a larger one',), 'raise K, or narrow the bounds')
+                                  'leads to a larger one',))
     s_bound, slot = float(outputs[n]), float(outputs[n + 2])
     failed, change = _inequalities(c, loop, s_bound, slot, command)
     return DelayBounds(delay, not failed, tuple(map(float, reached[:n])),

@@ -277,15 +277,17 @@ def largest_beta(model: LayerModel, period: float, delay: int,
 
 
 def largest_gain(model: Callable[[float], LayerModel | None], period: float, beta: float,
-                 delay: int, observer: LinearObserver | None = None) -> float:
+                 delay: int,
+                 observer: Callable[[float], LinearObserver | None] = lambda _: None) -> float:
     """Return the largest K without chatter [actuator unit per unit of s]; 0 = none.
 
-    `model` is the law in its layer as a function of K; None = not known, so never calm.
+    `model` is the law in its layer as a function of K; None = not known, so never calm. `observer`
+    is a function of K too, since its rate may follow it.
     """
     def radius(gain: float) -> float:
         found = model(gain)
         return (math.inf if found is None
-                else spectral_radius(found, period, beta, delay, observer))
+                else spectral_radius(found, period, beta, delay, observer(gain)))
 
     unit = 2.0 / (beta * period)
     return _largest(lambda gains: np.array([radius(gain) for gain in gains.tolist()]),

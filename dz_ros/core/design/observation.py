@@ -35,24 +35,31 @@ _GRID = np.geomspace(1.0, 1000.0, 121)
 """Rates that are tried [rad/s]."""
 
 
-def observer_of(c: Configuration) -> Observer:
-    """Return the configured observer of the velocity, with ω by rule where none is given."""
+def observer_of(c: Configuration, gain: float | None = None) -> Observer:
+    """Return the configured observer of the velocity, with ω by rule where none is given.
+
+    `gain`: K by which the rule goes [actuator unit per unit of s]; None = that of the law.
+    """
     settings, design = c.driver_settings, c.law.design
     omega = settings.observer
     if omega <= 0.0:
-        b, gain = 0.5 * sum(c.controller_settings.b_bounds), 0.0 if design is None else design.gain
+        b = 0.5 * sum(c.controller_settings.b_bounds)
+        if gain is None:
+            gain = 0.0 if design is None else design.gain
         omega = OBSERVER_RATE * gain * b or FALLBACK
     return OBSERVERS[settings.observer_kind](omega)
 
 
-def linear_observer(c: Configuration, measured: int) -> LinearObserver | None:
+def linear_observer(c: Configuration, measured: int,
+                    gain: float | None = None) -> LinearObserver | None:
     """Return the observer of the velocity as part of the loop's matrix.
 
-    None where all states are measured, of `measured`, or the observer is not linear.
+    None where all states are measured, of `measured`, or the observer is not linear; `gain` as of
+    `observer_of`.
     """
     if measured >= c.plant.order:
         return None
-    observer = observer_of(c)
+    observer = observer_of(c, gain)
     return type(observer).linear(observer.omega, c.loop.period)
 
 

@@ -73,15 +73,28 @@ def check(configuration: Configuration, disturbance: float | None = None,
         disturbance = disturbance_along_reference(c)
     driver = c.make_driver()
     findings += [*check_projection(c, design), *_robust_gain(c, design, disturbance),
-                 *_target(c, design),
-                 *_chatter(c, design, complaints, linear_observer(c, driver.measured)),
-                 *check_observer(c, driver.measured, driver.resolution),
-                 *check_guard(c, driver.measured, measured_steps(driver)),
+                 *_target(c, design), *_layer(c, design, driver, complaints),
                  *check_command_steps(c, getattr(driver, 'command_resolution', 0.0),
                                       driver.measured),
                  *_stability(c, design, stability_limit, lost),
                  *_uncovered(c, design, state_noise(c, measured_steps(driver))[-1])]
     return tuple(findings)
+
+
+def _layer(c: Configuration, design: Design, driver: Any, complaints: bool) -> Iterator[Finding]:
+    """Chatter, observer and guard."""
+    yield from _chatter(c, design, complaints, linear_observer(c, driver.measured))
+    yield from check_observer(c, driver.measured, driver.resolution)
+    yield from check_guard(c, driver.measured, measured_steps(driver))
+
+
+def layer_complaints(c: Configuration) -> tuple[Finding, ...]:
+    """Return the warnings and errors of `check` on the layer alone: chatter, observer, guard."""
+    design = c.law.design
+    if design is None:
+        return ()
+    return tuple(item for item in _layer(c, design, c.make_driver(), complaints=True)
+                 if item.level != INFO)
 
 
 def _robust_gain(c: Configuration, design: Design, disturbance: float) -> Iterator[Finding]:

@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which gain in the layer would be certified, where the configured one is not: a search (ours).
+
+K is varied around the configured one, nearest first; around 0.6 of where the loop chatters if the
+configured one is beyond that. Each is tried on a few cells of β and a part
+of the reference, with k* raised where |s| leaves ε, and what holds there is certified in full: a
+value that is named has its certificate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import math
+from typing import Any, TYPE_CHECKING
+
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.design.linear_loop import largest_beta, largest_gain
+from dz_ros.core.design.rules import derives_epsilon
+from dz_ros.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from dz_ros.core.design.certificate import DelayBounds
+
+CALM = 0.6
+"""Share of the chatter limit that is tried first where K is beyond it."""
+SHARES = (1.0, 0.8, 1.25, 0.6, 1.6, 0.45, 2.0, 0.33, 0.25)
+"""Multiples of that K which are tried, in this order."""
+WIDER = 1.05
+"""ε over the bound on |s| where k* is raised."""
+
+
+def which_gain(c: Configuration, delay: int,
+               bounds_of: Callable[[Configuration, bool], DelayBounds]) -> str:
+    """Return the gains with which the loop is certified at this delay, as text.
+
+    Args:
+        c: A configuration that is not certified.
+        delay: d [samples].
+        bounds_of: What is shown for a configuration: in part, quickly, or in full (True).
+    """
+    design, known = c.law.design, c.controller_settings
+    assert design is not None
+    limit = CALM * largest_gain(c.law.layer_model, c.loop.period,
+                                known.b_bounds[1] * known.m_bounds[1], delay)
+    gains = [share * min(design.gain, limit) for share in SHARES if limit > 0.0]
+    for gain in gains:
+        changes = _rounded(gain_keys(c, gain))
+        for _ in range(2):      # with its own k*, then with a larger one
+            tried = _possible(c, changes, gain, delay)
+            found = None if tried is None else bounds_of(tried, False)
+            if tried is None or found is None or found.certified:
+                break
+            wider = _wider(tried, found)
+            if not wider:
+                break
+            changes = {**changes, **_rounded(wider)}
+        if tried is None or found is None or not found.certified:
+            continue
+        if bounds_of(tried, True).certified:
+            return (' with '.join(f'{key} = {value:.4g}' for key, value in changes.items())
+                    + f': K = {gain:.4g} instead of {design.gain:.4g}, certified so')
+    if not gains:
+        return 'no K is calm: raise loop.rate'
+    return (f'of K from {min(gains):.3g} to {max(gains):.3g} none was found that is certified, '
+            'with a larger k* neither: narrow the bounds, or raise loop.rate')
+
+
+def gain_keys(c: Configuration, gain: float, k_star: float | None = None) -> dict[str, Any]:
+    """Return the keys that give the law this K in its layer, and their values.
+
+    `k_star`: k* to go with it; None = the configured one.
+    """
+    gains, design = c.law.gains, c.law.design
+    assert design is not None
+    if hasattr(gains, 'layer_gain'):
+        return {'controller.layer_gain': gain}
+    if derives_epsilon(gains):
+        lead = design.lead if hasattr(gains, 'epsilon') else 0.0
+        keys = {'controller.margin': gains.margin * (gain + lead) / (design.gain + lead)}
+        if gain > getattr(gains, 'gain_cap', math.inf):
+            keys['controller.gain_cap'] = gain
+        return keys
+    if not hasattr(gains, 'epsilon') or gain <= design.k_d:
+        return {}
+    return {'controller.epsilon': (k_star or design.k) / (gain - design.k_d)}
+
+
+def _wider(c: Configuration, found: DelayBounds) -> dict[str, Any]:
+    """Return k* for a layer of the same K that holds the bound on |s|; nothing without a bound."""
+    design, gains = c.law.design, c.law.gains
+    key = next((name for name in ('k_star', 'k') if hasattr(gains, name)), None)
+    if design is None or key is None or not design.epsilon < found.s_bound < math.inf:
+        return {}
+    needed = design.k * WIDER * found.s_bound / design.epsilon
+    return {**gain_keys(c, design.gain, needed), f'controller.{key}': needed}
+
+
+def _rounded(changes: dict[str, Any]) -> dict[str, Any]:
+    """Return the values with the digits that are shown."""
+    return {key: float(f'{value:.4g}') for key, value in changes.items()}
+
+
+def _possible(c: Configuration, changes: dict[str, Any], gain: float,
+              delay: int) -> Configuration | None:
+    """Return the configuration with these gains; None where it has not this K or chatters."""
+    if not changes:
+        return None
+    try:
+        tried = c.replace(**changes)
+    except ConfigurationError:
+        return None
+    design, model, known = tried.law.design, tried.law.layer_model(), c.controller_settings
+    if design is None or model is None or not math.isclose(design.gain, gain, rel_tol=0.01):
+        return None
+    high = known.b_bounds[1] * known.m_bounds[1]
+    return tried if largest_beta(model, c.loop.period, delay) > high else None

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Proposals from positions alone and under noise: calm, and `dz check` gives no warning."""
+
+import numpy as np
+import pytest
+
+from dz_ros.core.design.finding import INFO
+from dz_ros.core.design.guard_noise import LEAST, noise_in_s
+from dz_ros.core.design.linear_loop import spectral_radius
+from dz_ros.core.design.observation import linear_observer, measured_steps
+from dz_ros.core.design.rules import check
+from dz_ros.core.loop.offline import simulate
+from dz_ros.files.configurations import load_configuration
+from dz_ros.studies.tune import tune
+from dz_ros.studies.tune_layer import settled, steepest_gain, suits
+
+pytestmark = pytest.mark.slow
+
+LAYER = ('chatter', 'observer', 'guard')
+ENCODERS = {'cia402': 'driver.velocity_measured=false', 'joint': 'driver.measured=1',
+            'serial': 'driver.measured=1'}
+MEASURED = {'cia402': True, 'joint': 2, 'serial': 2}
+
+
+@pytest.fixture(autouse=True)
+def plain(monkeypatch):
+    """Compile nothing: the runs are short."""
+    monkeypatch.setattr('dz_ros.core.loop.compiled.available', lambda: False)
+
+
+def encoder(name, *overrides):
+    return load_configuration(name, [ENCODERS[name], 'loop.duration=8', *overrides])
+
+
+def complaints(c):
+    return [(item.rule, item.words) for item in check(c)
+            if item.rule in LAYER and item.level != INFO]
+
+
+def at_slope(c, b, m):
+    """Return the loop with this input gain of the plant."""
+    return c.replace(**{'plant.inertia': 1.0 / b, 'plant.dead_zone.m_r': m,
+                        'plant.dead_zone.m_l': m})
+
+
+def variation(c):
+    """Return the total variation of v per second in the second half."""
+    v = simulate(c).v
+    late = v[len(v) // 2:]
+    return float(np.abs(np.diff(late)).sum()) / (len(late) * c.loop.period)
+
+
+@pytest.mark.parametrize('delay', [0, 1])
+@pytest.mark.parametrize('law', ['robust', 'wang2004', 'extended', 'robust_eso'])
+@pytest.mark.parametrize('name', ENCODERS)
+def test_from_positions_alone_a_proposal_is_calm_by_check_matrix_and_simulation(name, law, delay):
+    c = encoder(name, f'controller.law={law}', f'loop.delay={delay}')
+    found = tune(c).after
+    assert complaints(found) == []
+    known, driver = found.controller_settings, found.make_driver()
+    assert driver.measured == 1
+    key = ENCODERS[name].partition('=')[0]
+    for b, m in zip(known.b_bounds, known.m_bounds, strict=True):
+        for late in (0, 1):
+            assert spectral_radius(found.law.layer_model(), c.loop.period, b * m, late,
+                                   linear_observer(found, 1)) < 1.0
+        # as calm as the same gains are with a measured velocity
+        own = at_slope(found, b, m)
+        measured = own.replace(**{key: MEASURED[name]})
+        assert measured.make_driver().measured == 2
+        assert variation(own) < 2.0 * variation(measured)
+
+
+@pytest.mark.parametrize('law', ['robust', 'wang2004', 'robust_eso'])
+def test_wide_bounds_of_the_input_gain_lower_the_gain(law):
+    c = encoder('joint', f'controller.law={law}', 'controller.b_bounds=[0.5, 2.0]',
+                'loop.delay=1', 'controller.m_bounds=[1.0, 1.0]')
+    found = tune(c).after
+    assert complaints(found) == []
+    narrow = tune(encoder('joint', f'controller.law={law}', 'loop.delay=1',
+                          'controller.m_bounds=[1.0, 1.0]')).after
+    assert found.law.design.gain < narrow.law.design.gain
+
+
+def test_the_limit_of_k_is_where_a_simulated_loop_begins_to_chatter():
+    c = at_slope(encoder('joint', 'controller.law=wang2004', 'loop.delay=1',
+                         'loop.duration=16'), 1.1, 1.25)
+    limit = steepest_gain(c)
+    measured = steepest_gain(c.replace(**{'driver.measured': 2}))
+    assert limit < 0.7 * measured       # the observer costs that much
+
+    def with_gain(gain):
+        gains = c.law.gains
+        return c.replace(**{'controller.epsilon': gains.k_star / (gain - gains.k_d)})
+
+    assert with_gain(limit).law.design.gain == pytest.approx(limit)
+    calm, chatters = (variation(with_gain(share * limit)) for share in (0.9, 1.2))
+    assert chatters > 3.0 * calm
+
+
+@pytest.mark.parametrize('driver', ['cia402', 'simulated'])
+@pytest.mark.parametrize('law', ['robust', 'robust_eso', 'wang2004'])
+def test_noise_leaves_the_guard_and_the_layer_their_room(law, driver):
+    c = (encoder('cia402', f'controller.law={law}') if driver == 'cia402' else
+         load_configuration('servo', [f'controller.law={law}', 'driver.measured=1',
+                                      'loop.duration=8', 'plant.resolution=1e-3']))
+    found = tune(c).after
+    assert complaints(found) == []
+    own = found.make_driver()
+    sigma = noise_in_s(found, own.measured, measured_steps(own))
+    if 'kappa_f' in found.law.signal_names:
+        assert found.law.design.epsilon >= LEAST * sigma > 0.0
+
+
+def test_measured_noise_is_kept_out_of_the_guard_too():
+    found = tune(load_configuration('robust', ['loop.duration=8', 'plant.noise=[0.001, 0.02]']))
+    assert complaints(found.after) == []
+    assert 'lowered from' in found.reasons['controller.margin']
+    assert found.after.law.design.epsilon >= LEAST * 0.02
+
+
+def test_share_found_is_the_largest_that_suits():
+    c = encoder('joint', 'loop.delay=1')
+
+    def made(share):
+        return c.replace(**{'controller.margin': 0.9 * share})
+
+    assert not suits(made(1.0))
+    found = settled(made).law.gains.margin
+    assert suits(c.replace(**{'controller.margin': found}))
+    assert not suits(c.replace(**{'controller.margin': 1.01 * found}))
+    # none suits: the steepest is kept, with its complaints
+    hopeless = encoder('joint', 'driver.observer=2')
+    assert settled(lambda share: hopeless.replace(**{
+        'controller.margin': 0.5 * share})).law.gains.margin == 0.5
