@@ -208,17 +208,19 @@ def _with_observer(c: Configuration, design: Design, delta: float,
     theta = [a * middle for a in c.plant.a]
     common = (period, known.b_bounds, known.m_bounds, k_star, c.law.gains.k_d, theta, middle,
               delay)
+    first = {'k_star': k_star, 'theta_0': theta, 'phi_0': middle}
     most = ESO_SHARE
     if not driver.lockstep:
         most = share_with_spare_sample(lambda share: c.replace(**{
-            f'controller.{key}': item for key, item in gains_by_rule(*common, most=share).items()
+            f'controller.{key}': item for key, item in
+            {**first, **gains_by_rule(*common, most=share)}.items()
         }).law.layer_model(), period, high, delay)
     gains = gains_by_rule(*common, most=most)
     noise = gains['layer_gain'] * state_noise(c, measured_steps(driver))[-1]
     quiet = noise > NOISE * k_star
     if quiet:
         gains = gains_by_rule(*common, quiet=True, most=most)
-    gains |= {'k_star': k_star, 'theta_0': theta, 'phi_0': middle}
+    gains |= first
     limit = c.plant_settings.command_limit
     if limit > 0.0:
         gains |= {'v_max': limit}
