@@ -20,9 +20,10 @@
           found by simulation; at most the configured λ times 4
 
 The gains of `robust_eso` follow its own rules (`dz_ros.core.laws.robust_eso_gains`), those for an
-encoder where the velocity is not measured; K0 and all that follows it are lowered, then ω_o, until
-the same rules are kept; its start is slowed down until it keeps the effort. Where no K0 keeps them
-the proposal is the steepest one, with what `dz check` warns of.
+encoder where the velocity is not measured, with a sample of delay to spare where the actuator is
+a device; K0 and all that follows it are lowered, then ω_o, until the same rules are kept; its
+start is slowed down until it keeps the effort. Where no K0 keeps them the proposal is the steepest
+one, with what `dz check` warns of.
 c gives the order of the paper's gains on the paper's example. a_i are those of the plant's model:
 where they are guesses, widen θ's bounds. Nothing here is optimal; it is safe to start from.
 
@@ -53,6 +54,7 @@ from dz_ros.core.laws.robust_eso_gains import (
     gains_for_encoder,
     OBSERVER_RATE,
     QUIET_SHARE,
+    share_with_spare_sample,
 )
 from dz_ros.core.laws.robust_eso_gains import (
     SHARE as ESO_SHARE,
@@ -215,21 +217,29 @@ def _with_observer(c: Configuration, design: Design, delta: float,
     theta = [a * middle for a in c.plant.a]
     common = (period, known.b_bounds, known.m_bounds, k_star, c.law.gains.k_d, theta, middle,
               delay)
-    gains = gains_by_rule(*common)
+    first = {'k_star': k_star, 'theta_0': theta, 'phi_0': middle}
+    most = ESO_SHARE
+    if not driver.lockstep:
+        most = share_with_spare_sample(lambda share: c.replace(**{
+            f'controller.{key}': item for key, item in
+            {**first, **gains_by_rule(*common, most=share)}.items()
+        }).law.layer_model(), period, high, delay)
+    gains = gains_by_rule(*common, most=most)
     noise = gains['layer_gain'] * state_noise(c, measured_steps(driver))[-1]
     quiet = noise > NOISE * k_star
     if quiet:
-        gains = gains_by_rule(*common, quiet=True)
-    gains |= {'k_star': k_star, 'theta_0': theta, 'phi_0': middle}
+        gains = gains_by_rule(*common, quiet=True, most=most)
+    gains |= first
     limit = c.plant_settings.command_limit
     if limit > 0.0:
         gains |= {'v_max': limit}
     by_rule = 'by rule from K0, k* and the bounds'
     reasons = dict.fromkeys(gains, by_rule) | {
         'k_star': f'rho/m_min{steps}, {delta:.4g} of disturbance and rho_0 = {SLOT:g} k*',
-        'layer_gain': f'{QUIET_SHARE if quiet else ESO_SHARE:g} of the chatter limit at delay '
-                      f'{delay}' + (f', quiet: noise would put {noise:.3g} into v' if quiet
-                                    else ''),
+        'layer_gain': f'{min(most, QUIET_SHARE) if quiet else most:.3g} of the chatter limit at '
+                      f'delay {delay}' + (
+                          f', quiet: noise would put {noise:.3g} into v' if quiet else
+                          f', calm at delay {delay + 1} too' if most < ESO_SHARE else ''),
         'design_delay': 'the loop takes up to this many samples',
         'lambda': 'K0 b_hat/7' if quiet else 'K0 b_hat/6', 'start_rate': 'lambda/5',
         'observer_rate': '0.83 K0 b_hat', 'k_2': '2 K0/3',

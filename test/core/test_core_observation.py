@@ -21,6 +21,7 @@ from dz_ros.core.observers import Luenberger, OBSERVERS, Tracking
 from dz_ros.core.records import Reference, State
 from dz_ros.drivers.hosted import HostedDriver
 from dz_ros.files.configurations import load_configuration
+from dz_ros.studies.tune import tune
 
 T = 0.005
 
@@ -215,19 +216,37 @@ def test_observer_starts_again_where_the_reference_comes_back():
     assert hosted.measure(T)[1] == pytest.approx(1.5)
 
 
-@pytest.mark.parametrize(('name', 'override'), [
-    ('joint', 'driver.measured=1'), ('cia402', 'driver.velocity_measured=false')])
+ENCODERS = {'joint': {'driver.measured': 1}, 'cia402': {'driver.velocity_measured': False}}
+
+
 @pytest.mark.parametrize('delay', [0, 1])
-def test_device_configurations_without_a_velocity_are_calm_by_rule_and_in_simulation(
-        name, override, delay):
-    c = load_configuration(name, [override, 'loop.duration=8', f'loop.delay={delay}'])
+@pytest.mark.parametrize('name', ENCODERS)
+def test_device_configurations_without_a_velocity_are_calm_with_the_pole_that_is_proposed(
+        name, delay):
+    """By the rule 3 K b̂ they are calm without delay; with a sample of it the check has a pole."""
+    c = load_configuration(name, ['loop.duration=20', f'loop.delay={delay}']).replace(
+        **ENCODERS[name])
+    (found,) = (item for item in check(c) if item.rule == 'observer')
+    assert found.level == (WARNING if delay else INFO)
+    if delay:
+        c = c.replace(**{'driver.observer': float(found.change.split()[3])})
     (found,) = (item for item in check(c) if item.rule == 'observer')
     assert found.level == INFO
     assert found.numbers['radius'] < 1.0
-    run = simulate(c)
+    run = simulate_fast(c)
     late = slice(len(run.t) // 2, None)
     assert np.abs(run.x[late, 0] - run.x_d[late, 0]).max() < 1e-3
-    assert np.abs(np.diff(run.v[late])).sum() / 4.0 < 12.0
+    assert np.abs(np.diff(run.v[late])).sum() / 10.0 < 12.0
+
+
+@pytest.mark.parametrize('name', ENCODERS)
+def test_the_gains_proposed_for_a_device_without_a_velocity_are_calm_by_rule(name):
+    c = tune(load_configuration(name, ['loop.duration=8']).replace(**ENCODERS[name])).after
+    assert [item.words for item in check(c) if item.level != INFO] == []
+    for delay in (0, 1):
+        run = simulate_fast(c.replace(**{'loop.delay': delay}))
+        late = slice(len(run.t) // 2, None)
+        assert np.abs(np.diff(run.v[late])).sum() / 4.0 < 12.0
 
 
 def test_the_limit_of_chatter_has_the_observer_in_its_loop():

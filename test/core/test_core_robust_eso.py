@@ -320,6 +320,26 @@ def test_shipped_gains_are_those_of_the_rules_and_reach_what_they_promise(name):
     assert np.abs(found.v).max() < 1.02 * peak
 
 
+FIGURES = {'robust_eso': (2.93e-4, 3.21e-4, 5.04), 'servo': (2.95e-4, 3.17e-4, 6.69),
+           'pendulum': (3.75e-4, 4.00e-4, 0.638), 'first_order': (4.10e-3, 4.43e-3, 13.8),
+           'valve_actuator': (1.06e-4, 1.07e-4, 3.25)}
+"""Of the program above: max|x̃| without and with a sample of delay, TV of v per second without."""
+
+
+@pytest.mark.parametrize('delay', [0, 1])
+@pytest.mark.parametrize('name', FIGURES)
+def test_error_and_variation_with_a_sample_of_delay_are_those_of_the_independent_program(
+        name, delay):
+    """Over the last half of the run; the delay adds at most an eighth to the variation of v."""
+    found = simulate(Configuration.from_flat({**flat_parameters(name), 'loop.delay': delay}))
+    half = len(found.t) // 2
+    error = np.abs(found.x[half:, 0] - found.x_d[half:, 0]).max()
+    variation = np.abs(np.diff(found.v[half:])).sum() / (found.t[-1] - found.t[half])
+    assert error == pytest.approx(FIGURES[name][delay], rel=0.04)
+    calm = FIGURES[name][2]
+    assert 0.98 * calm < variation < (1.125 if delay else 1.02) * calm
+
+
 @pytest.mark.parametrize(('name', 'quiet'), [('robust_eso', False), ('robust_eso_quiet', True)])
 def test_the_configuration_of_the_example_keeps_to_the_rules(name, quiet):
     flat = flat_parameters(name)

@@ -9,7 +9,8 @@ from dz_ros.cli.main import main
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.boundary_layer import chatter_limit
 from dz_ros.core.design.command_steps import limit_cycle_bound
-from dz_ros.core.design.finding import ERROR
+from dz_ros.core.design.finding import ERROR, INFO
+from dz_ros.core.design.linear_loop import largest_beta
 from dz_ros.core.design.rules import check
 from dz_ros.core.design.stability import lost_from_start
 from dz_ros.core.loop.offline import simulate
@@ -180,6 +181,38 @@ def test_gains_with_an_observer_follow_their_own_rules():
     assert gains.rho_0 == pytest.approx(0.3 * gains.k_star)
     assert all(item.level != ERROR for item in check(found.after))
     assert not found.rows['after, delay 1']['lost']
+
+
+@pytest.mark.parametrize('delay', [0, 2])
+def test_a_device_has_a_sample_of_delay_to_spare(delay):
+    """1.05 b_max m_max is calm a sample later than designed for; K0 is as large as that allows."""
+    found = tuned('joint', f'loop.delay={delay}')
+    gains, designed = found.after.law.gains, max(delay, 1)
+    largest = largest_beta(found.after.law.layer_model(), 0.005, designed + 1)
+    simulated = tuned('servo', f'loop.delay={delay}').after.law.gains
+    assert gains.design_delay == simulated.design_delay == designed
+    if delay:       # the rule of simulated plants has it anyway
+        assert largest > 1.05 * 1.1 * 1.25
+        assert gains.layer_gain == pytest.approx(simulated.layer_gain)
+    else:
+        assert largest == pytest.approx(1.05 * 1.1 * 1.25, rel=1e-3)
+        assert gains.layer_gain < 0.95 * simulated.layer_gain
+        assert 'calm at delay 2 too' in found.reasons['controller.layer_gain']
+
+
+@pytest.mark.parametrize('name', ['joint', 'serial', 'cia402', 'cia402_axes'])
+def test_device_configurations_have_the_gains_that_are_proposed_for_them(name):
+    given = load_configuration(name, ['loop.duration=8'])
+    one = given.axis(given.axis_names[0]) if given.axis_names else given
+    found = tune(one)
+    keys = [key for key in found.reasons if key.partition('.')[2] not in (
+        'theta_0', 'phi_0', 'theta_min', 'theta_max', 'phi_min', 'phi_max')]
+    assert len(keys) == 12
+    before, after = one.to_flat(), found.after.to_flat()
+    assert {key: before[key] for key in keys} == pytest.approx(
+        {key: after[key] for key in keys}, rel=6e-3)
+    words = [item.words for c in (one, found.after) for item in check(c) if item.level != INFO]
+    assert words == []
 
 
 def test_noise_asks_for_the_quiet_set_and_effort_for_a_slow_start():
