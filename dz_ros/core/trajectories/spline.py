@@ -62,7 +62,7 @@ def _three_in_a_row(left: Array, same: Array, right: Array, known: Array) -> Arr
     odd = slice(1, None, 2)
     solved = np.linalg.solve(same[::2], np.concatenate((left, right, known), axis=2)[::2])
     n = same.shape[1]
-    if len(same) % 2 == 0:      # the last one has nobody behind it
+    if len(same) % 2 == 0:      # the last one has no neighbour behind it
         solved = np.concatenate((solved, np.zeros((1, n, 2 * n + 1))))
     ahead, behind = left[odd] @ solved[:-1], right[odd] @ solved[1:]
     found = np.zeros(known.shape)
