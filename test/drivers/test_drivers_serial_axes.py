@@ -408,13 +408,14 @@ def test_one_motor_is_commanded_beside_the_others_at_their_safe_command(liars):
 
 def test_the_kit_wants_the_faults_of_the_axis_itself(liars):
     liar = liars(2)
-    hosted = Beside(HostedDrivers(machine(liar.port, AXES[:2])), 0)
+    every = HostedDrivers(machine(liar.port, AXES[:2]))
+    hosted = Beside(every, 0)
     hosted.open()
     hosted.enable()
     try:
         liar.faults[1] = 7
         deadline = time.monotonic() + TIME_OUT
-        while not hosted._hosts.fault():
+        while not every.fault():
             assert time.monotonic() < deadline
             hosted.command(1.0, 0.0)
             time.sleep(0.004)

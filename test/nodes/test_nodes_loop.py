@@ -156,7 +156,7 @@ def test_ctrl_c_ends_everything_in_order_without_a_traceback(processes, tmp_path
 
 @pytest.mark.parametrize('line', ['', 'ready'])
 def test_ctrl_c_while_the_nodes_are_starting_is_as_orderly(processes, children, tmp_path,
-                                                               patient, line):
+                                                           patient, line):
     run = processes(*DZ, 'run', *patient, '--duration', '600', '--record', tmp_path / 'run')
     nodes = children(run, 1 if line == '' else 4)
     run.signal(signal.SIGINT)
