@@ -202,6 +202,27 @@ def test_stamps_ahead_that_agree_show_that_the_one_before_was_late():
     assert guard.ahead(9.0, 0.172, 0.015)               # nor do these two agree
 
 
+def test_a_clock_that_jumps_ahead_after_good_stamps_is_not_confirmed_by_itself():
+    guard = FutureGuard()
+    for k in range(1000):
+        assert not guard.ahead(k * T, k * T + 0.001, 0.015)
+    assert all(guard.ahead(k * T + 10.0, k * T + 0.001, 0.015) for k in range(1000, 1100))
+    assert not guard.ahead(1100 * T, 1100 * T + 0.001, 0.015)
+
+
+def test_a_state_refused_as_from_the_future_is_not_taken_when_it_is_repeated(started):
+    c, guard = started
+    for k in range(10):
+        guard.reference((k, k * T, *c.trajectory(k * T)), k * T)
+        state = guard.take((k, k * T, *c.x0, k - 1.0, 0.0, 0.0), k * T)
+        guard.answer(state, k * T)
+    early = (10.0, 30.0, *c.x0, 9.0, 0.0, 0.0)
+    assert [guard.take(early, 10 * T) for _ in range(3)] == [None] * 3
+    guard.poll(9 * T + c.safety.state_hold * T + 0.001)       # it fed no watchdog either
+    assert guard.supervisor.mode is Mode.LOST
+    assert guard.supervisor.reason == 'no state'
+
+
 def test_a_late_state_does_not_turn_the_following_ones_away(started):
     c, guard = started
     numbers = [(5.0, 0.045, 0.145), *((6.0 + i, 0.140 + i * T, 0.146 + i * T) for i in range(20))]

@@ -73,6 +73,7 @@ class ControllerGuard:
         self._watch = configuration.loop.timing == 'realtime'
         self._watchdog = Watchdog()
         self._future = FutureGuard()
+        self._early = -1            # seq of the state refused as from the future, if the last was
         self._pressed = False
         self._begun = False
         self._first_seq = 0
@@ -116,12 +117,18 @@ class ControllerGuard:
         if verdict is not TAKEN and verdict is not REPEATED:
             return None
         state = self._state_of(numbers)
-        if verdict is TAKEN and self._watch:
-            if resync:
-                self._future.restart()
-            if self._future.ahead(state.stamp, now, self._state_hold):
-                self.state_guard.counts[Verdict.FUTURE] += 1
-                return None
+        if self._watch:
+            if verdict is not TAKEN:
+                if self._early == state.seq:
+                    return None
+            else:
+                if resync:
+                    self._future.restart()
+                if self._future.ahead(state.stamp, now, self._state_hold):
+                    self.state_guard.counts[Verdict.FUTURE] += 1
+                    self._early = state.seq
+                    return None
+                self._early = -1
         self._newest = state.stamp
         # Before the loop's clock starts, sample 0 comes when it comes.
         if state.seq > 0:

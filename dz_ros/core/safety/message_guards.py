@@ -24,6 +24,8 @@ LARGEST_STAMP = 1e9
 """A loop does not run for 30 years: stamps beyond this are none [s]."""
 STATE_ECHO = State.labels(0).index('echo_seq') - len(State.labels(0))
 """Place of echo_seq in a state of any order, from the end."""
+FEW = 4
+"""Stamps of another clock, fewer than which may all have come late."""
 RIVALS, RIVALRY = 10, 1.0
 """Messages out of turn within this duration [s] are a second sender, if the graph shows one."""
 
@@ -202,9 +204,9 @@ class FutureGuard:
     """Whether a stamp of another clock runs ahead of this one.
 
     The smallest difference ever seen between arrival and stamp is the quickest transport. A stamp
-    that is ahead of that by more than the tolerance comes from the future, but where the next one
-    confirms it, the earlier ones came late: their sender had stalled. A message must not be judged
-    twice.
+    that is ahead of that by more than the tolerance comes from the future. Right after a restart
+    the few before it may have come late themselves, because their sender had stalled: where the
+    next one confirms it, they did. A message must not be judged twice.
     """
 
     def __init__(self) -> None:
@@ -213,14 +215,16 @@ class FutureGuard:
     def restart(self) -> None:
         """Forget the other clock."""
         self._offset = self._refused = math.inf
+        self._taken = 0
 
     def ahead(self, stamp: float, now: float, tolerance: float) -> bool:
         """Return whether the stamp lies in the future by more than the tolerance [s]."""
         offset = now - stamp
         if 0.0 < tolerance < self._offset - offset < math.inf:
-            confirmed = abs(offset - self._refused) <= tolerance
+            confirmed = self._taken < FEW and abs(offset - self._refused) <= tolerance
             self._refused = offset
             if not confirmed:
                 return True
         self._offset, self._refused = min(self._offset, offset), math.inf
+        self._taken += 1
         return False
