@@ -29,6 +29,7 @@ from std_srvs.srv import Trigger
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.records import Command, Reference, State
+from dz_ros.core.safety.message_guards import plausible, STATE_ECHO
 
 ROOT = Path(__file__).resolve().parents[2]
 EMULATOR = ROOT / 'test' / 'nodes' / 'ros2_control_emulator.py'
@@ -100,7 +101,8 @@ class Loop:
         self.node = rclpy.create_node('fault_bench')
         for topic, kept in self.heard.items():
             name = 'plant_state' if topic == 'state' and remap else topic
-            self.node.create_subscription(Float64MultiArray, name, self._keeper(kept), 1000)
+            echo = {'state': STATE_ECHO, 'command': Command.labels().index('echo_seq')}.get(topic)
+            self.node.create_subscription(Float64MultiArray, name, self._keeper(kept, echo), 1000)
         latched = QoSProfile(depth=200, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.node.create_subscription(String, 'events', self._event, latched)
         self.estop = self.node.create_publisher(Bool, 'estop', QoSProfile(
@@ -285,9 +287,11 @@ class Loop:
             self._senders = {name: self.node.create_publisher(Float64MultiArray, name, 10)
                              for name in ('command', 'state', 'reference', 'terms')}
             self._texts = self.node.create_publisher(String, 'events', 10)
-            received = [self._senders['command'], self._senders['state'],
-                        self._senders['reference'], self._texts]
-            self.until(lambda: all(item.get_subscription_count() > 0 for item in received), 5.0)
+            # This node itself subscribes to all of them but the reference.
+            own = {name: int(name != 'reference') for name in ('command', 'state', 'reference')}
+            self.until(lambda: self._texts.get_subscription_count() > 1 and all(
+                self._senders[name].get_subscription_count() > count
+                for name, count in own.items()), 5.0)
         order = self.configuration.plant.order
         labels = labels or {'command': Command.labels(), 'state': State.labels(order),
                             'reference': Reference.labels(order)}[topic]
@@ -300,10 +304,11 @@ class Loop:
         """Publish any text as an event."""
         self._texts.publish(String(data=text))
 
-    def _keeper(self, kept: list[tuple[float, Row]]) -> Callable[[Any], None]:
+    def _keeper(self, kept: list[tuple[float, Row]], echo: int | None
+                ) -> Callable[[Any], None]:
         def keep(message: Any) -> None:
             row = tuple(message.data)
-            if len(row) > 3 and all(map(math.isfinite, row)) and max(row[:2]) < 1e6:
+            if len(row) > 3 and row[1] >= 0.0 and plausible(row, echo):
                 kept.append((time.monotonic(), row))
         return keep
 

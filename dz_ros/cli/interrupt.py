@@ -59,8 +59,11 @@ def prompt_end(kept: Callable[[], str] = lambda: NOTHING_KEPT) -> Iterator[None]
                 os.write(2, f'{line(kept())}\n'.encode())
                 os._exit(INTERRUPTED)
 
+    interrupted = False         # an Event has a lock, which a second interrupt would wait for
+
     def interrupt(_number: int, _frame: FrameType | None) -> None:
-        asked.set()
+        nonlocal interrupted
+        interrupted = True
         raise KeyboardInterrupt
 
     def unraisable(problem: sys.UnraisableHookArgs) -> None:
@@ -78,7 +81,7 @@ def prompt_end(kept: Callable[[], str] = lambda: NOTHING_KEPT) -> Iterator[None]
     except KeyboardInterrupt:
         raise KeyboardInterrupt(kept()) from None
     except Exception:       # what an interrupt in the middle of an import may be turned into
-        if asked.is_set():
+        if interrupted:
             raise KeyboardInterrupt(kept()) from None
         raise
     finally:

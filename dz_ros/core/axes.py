@@ -16,8 +16,6 @@ from dz_ros.errors import ConfigurationError
 
 MAX_AXES = 32
 """Axes of one loop, at most."""
-MAX_DIAGNOSTIC_VALUES = 24 * MAX_AXES
-"""Values of a node's diagnostics that are shown; a node reports about 12 of each axis."""
 MAX_NAME = 40
 """Characters of an axis' name, at most."""
 SHARED = ('seq', 'stamp', 'echo_seq', 'echo_stamp')
@@ -83,6 +81,11 @@ class Rows(tuple[Any, ...]):
     def numbers(self) -> tuple[float, ...]:
         """Return the numbers of all rows, one after the other."""
         return tuple(number for record in self for number in record.numbers())
+
+
+def diagnostic_values(axes: int) -> int:
+    """Return how many values of a node's diagnostics are shown: about 12 an axis are reported."""
+    return max(200, 24 * axes)
 
 
 def split(numbers: Sequence[float], count: int) -> list[Sequence[float]]:

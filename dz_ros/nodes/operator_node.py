@@ -20,7 +20,7 @@ from rclpy.node import Node
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from dz_ros.core.axes import MAX_DIAGNOSTIC_VALUES
+from dz_ros.core.axes import diagnostic_values, MAX_AXES
 from dz_ros.core.text import LONGEST
 from dz_ros.errors import ConfigurationError, LoopError
 from dz_ros.nodes.ros.base import deliver, fixed_parameter
@@ -173,7 +173,7 @@ class OperatorNode(Node):
                          'message': status.message[:LONGEST],
                          'hardware': status.hardware_id[:LONGEST],
                          'values': {item.key[:LONGEST]: item.value[:LONGEST]
-                                    for item in status.values[:MAX_DIAGNOSTIC_VALUES]},
+                                    for item in status.values[:diagnostic_values(MAX_AXES)]},
                          'received': time.time()})
 
     def _write(self, line: dict[str, Any]) -> None:

@@ -12,6 +12,7 @@ from scipy import interpolate, signal, stats
 from dz_ros.core import schema
 from dz_ros.core.trajectories import TRAJECTORIES
 from dz_ros.core.trajectories.smooth_step import CONTINUOUS, smooth_step
+from dz_ros.core.trajectories.spline import spline
 from dz_ros.errors import ConfigurationError
 
 TIMES = (1.0, 2.5, 3.0, 6.0)
@@ -171,6 +172,27 @@ def test_waypoints_are_scipy_s_clamped_spline(order, count):
     assert trajectory(times[0] - 1.0) == (positions[0],) + (0.0,) * order
     assert trajectory(times[-1]) == (positions[-1],) + (0.0,) * order
     assert [trajectory(t)[0] for t in times] == pytest.approx(positions, abs=1e-9)
+
+
+@pytest.mark.parametrize('count', [31, 64, 5000])
+@pytest.mark.parametrize(('order', 'shortest', 'tolerance'), [
+    (1, 3e-4, 1e-9), (2, 0.03, 1e-7), (3, 0.3, 1e-7)])
+def test_pieces_of_a_long_spline_fit_together(order, shortest, tolerance, count):
+    """At each inner point the derivatives 1 … 2n of both pieces agree, for uneven times too."""
+    generator = np.random.default_rng(count)
+    lengths = np.exp(generator.uniform(np.log(shortest), np.log(3.0), count - 1))
+    times = np.concatenate(([0.0], np.cumsum(lengths)))
+    positions = generator.normal(size=count)
+    pieces = spline(times, positions, order)
+    powers = np.arange(2 * order + 2)
+    assert pieces[:, 0] == pytest.approx(positions[:-1], abs=1e-9)
+    assert pieces.sum(axis=1) == pytest.approx(positions[1:], abs=1e-9)
+    for m in range(1, 2 * order + 1):
+        factors = np.array([math.perm(j, m) for j in powers], dtype=float)
+        terms = pieces * factors / np.diff(times)[:, None] ** m
+        ends, starts = terms.sum(axis=1)[:-1], terms[1:, m]
+        scale = np.abs(terms).max(axis=1)
+        assert np.all(np.abs(ends - starts) <= tolerance * np.maximum(scale[:-1], scale[1:]))
 
 
 def test_two_waypoints_of_a_plant_of_order_four_are_point_to_point():

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from dz_ros.cli.offline import simulate_machine
-from dz_ros.core.axes import MAX_AXES, MAX_DIAGNOSTIC_VALUES
+from dz_ros.core.axes import diagnostic_values, MAX_AXES
 from dz_ros.core.dataset import from_runs
 from dz_ros.core.loop.coupled import simulate_axes
 from dz_ros.core.records import Command, Reference, State, Status, Terms
@@ -298,7 +298,7 @@ def test_status_shows_as_many_values_as_the_most_axes_have(operator, processes):
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
     publisher = operator.node.create_publisher(DiagnosticArray, '/diagnostics', 10)
     keys = [f'a{axis}: value {place}' for axis in range(MAX_AXES)
-            for place in range(MAX_DIAGNOSTIC_VALUES // MAX_AXES)]
+            for place in range(diagnostic_values(MAX_AXES) // MAX_AXES)]
     message = DiagnosticArray(status=[DiagnosticStatus(
         name='/of_many', level=b'\0', message='running', values=[
             KeyValue(key=key, value='1') for key in (*keys, 'one more')])])

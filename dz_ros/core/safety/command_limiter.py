@@ -121,11 +121,6 @@ class CommandLimiters:
         """Number of commands changed, of all axes."""
         return sum(limiter.limited for limiter in self.each)
 
-    @property
-    def refused(self) -> int:
-        """Number of commands replaced because they were not finite, of all axes."""
-        return sum(limiter.refused for limiter in self.each)
-
     def start(self, t: float) -> None:
         """Begin at time t [s]: rate and ramp count from the safe commands."""
         for limiter in self.each:

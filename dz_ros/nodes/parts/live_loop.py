@@ -14,7 +14,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from dz_ros.core.axes import MAX_DIAGNOSTIC_VALUES
+from dz_ros.core.axes import diagnostic_values
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.events import ConfigurationEvent, ModeEvent
 from dz_ros.core.text import LONGEST, printable
@@ -275,7 +275,8 @@ class LiveLoop(Source):
             self._stale = True
 
     def _on_diagnostics(self, message: Any) -> None:
-        now = time.monotonic()
+        now, machine = time.monotonic(), self._run_history.configuration
+        most = diagnostic_values(1 if machine is None else len(machine.axis_names))
         for status in message.status:
             place, _, name = status.name.rpartition('/')
             known = place == self._namespace or status.name in self.owners.values()
@@ -284,7 +285,7 @@ class LiveLoop(Source):
                     'node': status.name, 'level': status.level[0],
                     'message': printable(status.message, LONGEST), 'received': now, 'values': {
                         printable(item.key, LONGEST): printable(item.value, LONGEST)
-                        for item in status.values[:MAX_DIAGNOSTIC_VALUES]}}
+                        for item in status.values[:most]}}
 
     def _stamp_of(self, when: float) -> float:
         """Return the loop time of an instant [s since the epoch], as near as rows show."""
