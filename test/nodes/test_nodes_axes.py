@@ -216,8 +216,8 @@ def test_what_other_machines_send_is_counted_by_cause_and_moves_no_axis(
         nodes[node].wait_for_line(f'{topic}: {cause} (')
     operator.wait_for_mode(actuator_node='running', controller_node='running')
     assert 'fault' not in {event.get('mode') for event in operator.events}
-    for message in operator.received['truth']:
-        assert all(abs(number) < 1e3 for number in message.data[2::5])
+    applied = [number for message in operator.received['truth'] for number in message.data[2::5]]
+    assert max(map(abs, applied)) < FAR / 10.0
     stop(nodes)
 
 
@@ -274,10 +274,19 @@ STATUS = ('-m', 'dz_ros', 'status', '--once')
 
 def test_status_shows_the_values_of_each_axis_and_names_the_one_in_fault(start, operator,
                                                                          processes):
+    def shown(*lines):
+        # It waits three seconds for another node; a busy machine may need more than one look.
+        status = processes(*STATUS)
+        code = status.wait()
+        found = all(f'/{line}' in status.output for line in lines)
+        return (status, code) if found else None
+
     nodes = start(*operator.patient)
     operator.wait_for_mode(actuator_node='running', controller_node='running')
-    status = processes(*STATUS)
-    assert status.wait() == 0, status.output
+    looks = []
+    operator.wait(lambda: looks.append(shown('controller_node: ', 'actuator_node: ')) or looks[-1])
+    status, code = looks[-1]
+    assert code == 0, status.output
     sections = re.split(r'^(?=\w+ +/)', status.output, flags=re.MULTILINE)
     for node, label in (('controller_node', 'max |error|'), ('controller_node', 'max |s|/epsilon'),
                         ('actuator_node', 'applied command')):
@@ -287,8 +296,9 @@ def test_status_shows_the_values_of_each_axis_and_names_the_one_in_fault(start, 
         assert section.splitlines()[1].split() == ['mode', 'running']   # the machine's, once
     assert operator.set('/controller_node', axes__pitch__safety__error_limit=1e-9).successful
     operator.wait_for_mode(controller_node='fault')
-    status = processes(*STATUS)
-    assert status.wait() == 1, status.output
+    operator.wait(lambda: looks.append(shown('controller_node: fault')) or looks[-1])
+    status, code = looks[-1]
+    assert code == 1, status.output
     assert re.search('^ERROR  /controller_node: fault: axis pitch: error ', status.output,
                      re.MULTILINE), status.output
     stop(nodes)
