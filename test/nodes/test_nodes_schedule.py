@@ -61,11 +61,15 @@ def voltage(watcher, reports):
             reports.get(node, (0, '', {}))[2].get('scheduling variable') == f'{value:g}'
             for node in ('plant_node', 'controller_node'))
 
+    def answered():     # the count of commands is another where the machine stalled
+        newest = watcher.received['terms'][-1]
+        return newest.data[newest.layout.dim[0].label.split(',').index('echo_seq')]
+
     def held(value):
-        first = watcher.received['terms'][-1].data[0]
-        watcher.wait(lambda: watcher.received['terms'][-1].data[0] > first + 100)
+        first = answered()
+        watcher.wait(lambda: answered() > first + 100)
         # The samples after the last command that was received may have the next voltage.
-        give.spans.append((value, first, watcher.received['terms'][-1].data[0] - 5))
+        give.spans.append((value, first, answered() - 5))
 
     def give(value, expected=None, reliable=True):
         wanted = value if expected is None else expected
