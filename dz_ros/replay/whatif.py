@@ -320,8 +320,8 @@ def answer_axes(plan: MachinePlan, runs: Mapping[str, Run], name: str, start_ns:
 def _answered(data: RunData, as_recorded: Mapping[str, bool], name: str) -> RunData:
     """Return the run of an answer, without the trajectories that its configuration does not hold.
 
-    Where one axis has none, the keys of all axes go too: they are the first axis' own once more,
-    and an axis without keys of its own would take them for its trajectory.
+    Where one axis has none, the keys of all axes go too: they repeat those of the first axis, and
+    an axis without keys of its own would take them for its trajectory.
     """
     without = {axis for axis, found in as_recorded.items() if found}
     if without:

@@ -54,7 +54,7 @@ def two(**changes):
 
 
 def real(c, run, begin=0):
-    """Return what a plant that nobody simulates would have left of a run, from a sample on."""
+    """Return what a run leaves of a plant that is not simulated, from a sample on."""
     channels = {}
     for topic, channel in run.channels.items():
         values = channel.values[begin:].copy()

@@ -181,7 +181,7 @@ def simulate_together(configuration: Configuration,
 
 def _together(configuration: Configuration, memories: Sequence[Sequence[float] | None],
               at: list[int]) -> dict[str, Run]:
-    """Return what `simulate_together` does; `at` tells which sample of which axis is computed."""
+    """Return what `simulate_together` does; `at` holds the sample and axis that is computed."""
     c = configuration
     each, period, count = c.each, c.loop.period, c.loop.samples + 1
     n, axes = c.plant.order, range(len(c.each))
