@@ -14,6 +14,7 @@
     │   ├── MissingLabelError       records without a number that is needed (also KeyError)
     │   └── DamagedRunError         cut off or corrupted, and what to do
     └── LoopError                   the running loop: peers, topics, nodes(also RuntimeError)
+        ├── DivergedError           a loop offline, and when              (also OverflowError)
         └── DriverError             a device that is not there or refuses
 
 The library raises; the command line prints the message, which is one line, and returns 2.
@@ -151,6 +152,21 @@ class DamagedRunError(RecordingError):
 
 class LoopError(DzRosError, RuntimeError):
     """The running loop cannot start or go on."""
+
+
+class DivergedError(LoopError, OverflowError):
+    """The numbers of a loop offline are no longer finite.
+
+    Attributes:
+        t: Time of the first sample that cannot be computed [s].
+        where: Axis or axes in question, as ``axis yaw``; empty: the loop has one.
+    """
+
+    def __init__(self, t: float, where: str = '') -> None:
+        self.t = t
+        self.where = where
+        super().__init__((f'{where}: ' if where else '') + 'the loop diverged, its numbers are no '
+                         f'longer finite at t = {t:g} s')
 
 
 class DriverError(LoopError):

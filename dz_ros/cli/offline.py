@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 
 from dz_ros.cli.progress import stage
+from dz_ros.core.axes import spoken
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.loop.coupled import is_coupled, simulate_together
+from dz_ros.core.loop.coupled import simulate_axes, simulate_together
 from dz_ros.core.loop.offline import Run, simulate
-from dz_ros.errors import ConfigurationError, LoopError
+from dz_ros.errors import ConfigurationError, DivergedError, LoopError
 
 ADVICE = ('try a smaller controller.lambda, a larger controller.epsilon, a higher loop.rate or '
           'less loop.delay')
@@ -27,29 +29,22 @@ def simulate_machine(configuration: Configuration,
         memories: Those of the axes, as of `simulate_offline`; none at all = their initial ones.
 
     Raises:
-        ConfigurationError: The configuration has no end.
-        LoopError: An axis diverged; with its name and the time.
+        ConfigurationError: The configuration has no end, or more samples than there is room for.
+        LoopError: An axis diverged; with its name, or the names of axes that are moved together,
+            and the time.
     """
-    if not is_coupled(configuration):
-        found = {}
-        each = configuration.axes or (('', configuration),)
-        for (name, item), memory in zip(each, memories or (None,) * len(each), strict=True):
-            try:
-                found[name] = simulate_offline(item, memory)
-            except LoopError as error:
-                raise LoopError(f'axis {name}: {error}' if name else str(error)) from error
-        return found
-    _require_end(configuration)
-    try:
-        with stage(_simulating(configuration)):
+    return simulate_axes(configuration, simulate_offline, memories, _coupled_offline)
+
+
+def _coupled_offline(configuration: Configuration,
+                     memories: Sequence[Sequence[float] | None]) -> dict[str, Run]:
+    """Return what `simulate_machine` does, of axes that plant or law couple."""
+    with _simulating(configuration):
+        try:
             runs = simulate_together(configuration, memories)
-    except (OverflowError, ValueError) as error:
-        if isinstance(error, ConfigurationError):
-            raise
-        raise LoopError('the loop diverged, its numbers are no longer finite: '
-                        f'{ADVICE}') from error
-    for name, run in runs.items():
-        _require_finite(run, f'axis {name}: ')
+        except DivergedError as error:
+            raise LoopError(f'{error}: {ADVICE}') from error
+    _require_finite(runs)
     return runs
 
 
@@ -62,48 +57,56 @@ def simulate_offline(configuration: Configuration,
         memory: The law's memory before the first sample; None = its initial one.
 
     Raises:
-        ConfigurationError: The configuration has no end.
+        ConfigurationError: The configuration has no end, or more samples than there is room for.
         LoopError: The loop diverged; with the time.
     """
-    _require_end(configuration)
     try:
-        with stage(_simulating(configuration)):
+        with _simulating(configuration):
             run = simulate(configuration, memory=memory)
-    except MemoryError:
-        raise ConfigurationError('loop.duration', configuration.loop.duration, 'this machine has '
-                                 f'no room for {configuration.loop.samples} samples: must be '
-                                 'shorter') from None
     except (OverflowError, ValueError) as error:
         if isinstance(error, ConfigurationError):
             raise
         with stage('searching the sample from which on the loop diverges'):
             sample = _first_failing(configuration, memory)
         raise _diverged(sample * configuration.loop.period) from error
-    _require_finite(run)
+    _require_finite({'': run})
     return run
 
 
-def _simulating(configuration: Configuration) -> str:
-    return f'simulating {configuration.loop.duration:g} s, {configuration.loop.samples} samples'
+@contextmanager
+def _simulating(configuration: Configuration) -> Iterator[None]:
+    """Show that a loop is simulated.
+
+    Raises:
+        ConfigurationError: It has no end, or more samples than there is room for.
+    """
+    loop = configuration.loop
+    if loop.samples == 0:
+        raise ConfigurationError('loop.duration', loop.duration, 'an offline loop needs an end: '
+                                 f'at least one sample interval, {loop.period:g} s')
+    try:
+        with stage(f'simulating {loop.duration:g} s, {loop.samples} samples'):
+            yield
+    except MemoryError:
+        raise ConfigurationError('loop.duration', loop.duration, 'this machine has no room for '
+                                 f'{loop.samples} samples: must be shorter') from None
 
 
-def _require_end(configuration: Configuration) -> None:
-    if configuration.loop.samples == 0:
-        raise ConfigurationError('loop.duration', configuration.loop.duration,
-                                 'an offline loop needs an end: at least one sample interval, '
-                                 f'{configuration.loop.period:g} s')
-
-
-def _require_finite(run: Run, where: str = '') -> None:
-    for array in (run.x, run.v[:, np.newaxis], run.terms):
-        bad = ~np.isfinite(array).all(axis=1)
-        if bad.any():
-            raise _diverged(float(run.t[int(bad.argmax())]), where)
+def _require_finite(runs: Mapping[str, Run]) -> None:
+    """Refuse loops with numbers that are not finite; the axis is named that has the first one."""
+    found = []
+    for place, (name, run) in enumerate(runs.items()):
+        for array in (run.x, run.v[:, np.newaxis], run.terms):
+            bad = ~np.isfinite(array).all(axis=1)
+            if bad.any():
+                found.append((float(run.t[int(bad.argmax())]), place, name))
+    if found:
+        t, _, name = min(found)
+        raise _diverged(t, spoken([name]) if name else '')
 
 
 def _diverged(t: float, where: str = '') -> LoopError:
-    return LoopError(f'{where}the loop diverged, its numbers are no longer finite at t = {t:g} s: '
-                     f'{ADVICE}')
+    return LoopError(f'{DivergedError(t, where)}: {ADVICE}')
 
 
 def _first_failing(configuration: Configuration, memory: Sequence[float] | None) -> int:

@@ -46,7 +46,7 @@ def add_configuration(parser: argparse.ArgumentParser,
              'may be repeated')
     overrides.completer = _complete_key  # type: ignore[attr-defined]
     parser.add_argument('--axis', metavar='NAME',
-                        help='this axis alone, of a configuration of several (loop.axes)')
+                        help='the axis that is meant, of a configuration of several (loop.axes)')
     parser.add_argument('--namespace', default='', metavar='NS',
                         help=f'ROS namespace of the loop, e.g. /left_valve: {namespace}')
 
@@ -89,7 +89,8 @@ def add_recording(parser: argparse.ArgumentParser, numbers: bool = False,
     add_allow_import(parser)
     parser.add_argument('--namespace', metavar='NS',
                         help='whose topics to read, where a run holds several loops')
-    parser.add_argument('--axis', metavar='NAME', help='this axis alone, of a run of several')
+    parser.add_argument('--axis', metavar='NAME',
+                        help='the axis that is meant, of a run of several')
 
 
 def read_one(arguments: argparse.Namespace, path: Path | None = None) -> RunData:

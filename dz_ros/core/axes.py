@@ -44,6 +44,19 @@ def check_names(axes: Sequence[str], key: str = 'loop.axes') -> tuple[str, ...]:
     return found
 
 
+def spoken(names: Sequence[str]) -> str:
+    """Return names of axes as a sentence has them: ``axis yaw``, ``axes surge, sway``."""
+    return f'{"axis" if len(names) == 1 else "axes"} {", ".join(names)}'
+
+
+def gathered(texts: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """Return text → names of the axes that have it, of pairs (name, text), in their order."""
+    found: dict[str, list[str]] = {}
+    for name, text in texts:
+        found.setdefault(text, []).append(name)
+    return found
+
+
 class Rows(tuple[Any, ...]):
     """Records of one sample, one for each axis, with the interface of a single one.
 

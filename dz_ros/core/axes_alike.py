@@ -28,17 +28,17 @@ def check_alike(first_name: str, first: Configuration, name: str, item: Configur
         raise ConfigurationError(axis_key(name, 'plant.model'), item.plant_settings.model,
                                  f'has order {item.plant.order}, axis {first_name} order '
                                  f'{first.plant.order}{two}')
+    if (item.law.coupled or first.law.coupled) and type(item.law) is not type(first.law):
+        raise ConfigurationError(axis_key(name, 'controller.law'),
+                                 item.controller_settings.law, f'axis {first_name} has '
+                                 f'{first.controller_settings.law}: a law that knows all '
+                                 'axes must be the law of all')
     if item.law.signal_names != first.law.signal_names or len(item.law.initial_memory()) != len(
             first.law.initial_memory()):
         raise ConfigurationError(
             axis_key(name, 'controller.law'), item.controller_settings.law,
             f'publishes {", ".join(item.law.signal_names) or "no signals"}, axis {first_name} '
             f'{", ".join(first.law.signal_names) or "none"}{two}')
-    if (item.law.coupled or first.law.coupled) and type(item.law) is not type(first.law):
-        raise ConfigurationError(axis_key(name, 'controller.law'),
-                                 item.controller_settings.law, f'axis {first_name} has '
-                                 f'{first.controller_settings.law}: a law that knows all '
-                                 'axes must be the law of all')
     if item.driver_class.lockstep != first.driver_class.lockstep:
         raise ConfigurationError(axis_key(name, 'driver.name'), item.driver_settings.name,
                                  f'axis {first_name} has {first.driver_settings.name}: the '

@@ -43,6 +43,14 @@ def section_of(key: str) -> str:
     return parts(key)[1].partition('.')[0]
 
 
+def axis_seed(seed: Any, place: int) -> Any:
+    """Return the seed of an axis by its place in `loop.axes`, so that no two have the same noise.
+
+    What is no seed is returned as it is; the schema refuses it.
+    """
+    return (seed + place) % 2 ** 63 if type(seed) is int else seed
+
+
 def is_machines(key: str) -> bool:
     """Return whether a key, without an axis, has one value for the whole machine."""
     section, _, name = key.partition('.')

@@ -31,6 +31,7 @@ from dz_ros.core.axes_alike import check_alike
 from dz_ros.core.axes_keys import (
     axis_key,
     AXIS_SECTIONS,
+    axis_seed,
     check_axes,
     is_machines,
     parts,
@@ -261,8 +262,7 @@ class Configuration:
         axes = []
         for place, name in enumerate(loop.axes):
             mine = own.get(name, {})
-            keys = {**common, **mine, 'loop.axes': [],
-                    'loop.seed': (loop.seed + place) % 2 ** 63}
+            keys = {**common, **mine, 'loop.axes': [], 'loop.seed': axis_seed(loop.seed, place)}
             for key, several in ((PLANT_AXIS, cls._serves_several), (LAW_AXIS, cls._knows_all)):
                 if several(keys):
                     _check_place(name, place, key, common, mine)
@@ -533,8 +533,8 @@ class Configuration:
         for place, (name, item) in enumerate(self.axes):
             mine = own.get(name, {})
             keys = {**common, **mine}
-            if 'loop.seed' in keys and isinstance(keys['loop.seed'], int):
-                keys['loop.seed'] = (keys['loop.seed'] + place) % 2 ** 63
+            if 'loop.seed' in keys:
+                keys['loop.seed'] = axis_seed(keys['loop.seed'], place)
             for key, several in ((PLANT_AXIS, isinstance(item.plant, CoupledPlant)),
                                  (LAW_AXIS, item.law.coupled)):
                 if several and key in keys:

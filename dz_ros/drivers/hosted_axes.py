@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from dz_ros.core.axes import Rows
+from dz_ros.core.axes import gathered, Rows, spoken
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.safety.health import Report
 from dz_ros.drivers.hosted import HostedDriver
@@ -146,12 +146,9 @@ class HostedDrivers:
 
     def _joined(self, faults: Any) -> str:
         """Return faults of the axes as one text; what is the same of several, once."""
-        found: dict[str, list[str]] = {}
-        for name, fault in zip(self.names, faults, strict=True):
-            if fault:
-                found.setdefault(fault, []).append(name)
-        return '; '.join(f'{"axis" if len(names) == 1 else "axes"} {", ".join(names)}: {fault}'
-                         for fault, names in found.items())
+        found = gathered((name, fault) for name, fault in zip(self.names, faults, strict=True)
+                         if fault)
+        return '; '.join(f'{spoken(names)}: {fault}' for fault, names in found.items())
 
 
 def host(configuration: Configuration) -> Any:

@@ -5,15 +5,15 @@ Initial plant state, initial estimates, reference, seed and length are those of 
 nothing changed an offline or lockstep run comes out bit for bit. That needs a model of the plant:
 the one that was simulated, one given by its parameters, or one fitted to the log (`fit`).
 
-Of several axes `plan` is about one alone and `plan_axes` about all of them together, which is what
-a plant or a law that couples them needs.
+Of several axes `plan_axis` is about one alone and `plan_axes` about all of them together, which is
+what a plant or a law that couples them needs.
 
 Over 300 lines: a plan of one axis, one of all, and what both take from the log.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -21,21 +21,29 @@ from typing import Any
 import numpy as np
 
 from dz_ros.core import schema
-from dz_ros.core.axes_keys import axis_key, check_axes, is_machines, parts, split_keys
-from dz_ros.core.configuration import allow_named, Configuration
+from dz_ros.core.axes import gathered, spoken
+from dz_ros.core.axes_keys import (
+    axis_key,
+    axis_seed,
+    check_axes,
+    is_machines,
+    parts,
+    split_keys,
+)
+from dz_ros.core.configuration import allow_named, Configuration, PLANT_AXIS
 from dz_ros.core.dataset import from_run, from_runs, RunData
 from dz_ros.core.loop.coupled import knows_others
 from dz_ros.core.loop.offline import Run
 from dz_ros.core.plants import PLANTS
-from dz_ros.errors import ConfigurationError, RecordingError
+from dz_ros.errors import ConfigurationError, RecordingError, suggestion
 from dz_ros.identification.estimation.least_squares import ZONE as ESTIMATED_ZONE
 from dz_ros.identification.estimation.physical_parameters import parameters_with
 from dz_ros.identification.estimation.pipeline import fit_log
 from dz_ros.identification.estimation.prediction_error import Fit
 from dz_ros.identification.proposal import zone_keys
 from dz_ros.replay.recorded_trajectory import RecordedTrajectory
-from dz_ros.runs.axes import axis_flat, each_axis
-from dz_ros.runs.history import known_keys, RunHistory, usable
+from dz_ros.runs.axes import axis_run, each_axis
+from dz_ros.runs.history import known_keys, RunHistory
 from dz_ros.runs.sequence import readable
 from dz_ros.runs.setting import state_columns
 
@@ -43,6 +51,8 @@ PULSE = 'plant.disturbance_pulse'
 SIMULATED = 'simulated'
 ZONE = ('m_r', 'm_l', 'b_r', 'b_l')
 """Parameters of the dead-zone a plant model needs."""
+FITS_ONE = ('fits one axis that neither plant nor law couple to others: choose it with --axis, or '
+            'give the parameters')
 
 
 @dataclass(frozen=True)
@@ -62,6 +72,11 @@ class Plan:
     notes: tuple[str, ...]
     fit: Fit | None = None
     as_recorded: bool = False
+
+    @property
+    def coupled(self) -> bool:
+        """Whether the axis that it is of cannot be simulated without the others of its machine."""
+        return knows_others(self.configuration)
 
 
 @dataclass(frozen=True)
@@ -84,12 +99,8 @@ class MachinePlan:
     @property
     def notes(self) -> tuple[str, ...]:
         """What a reader of the answer must know; with the axis where it is not so of all."""
-        found: dict[str, list[str]] = {}
-        for name, item in self.each.items():
-            for text in item.notes:
-                found.setdefault(text, []).append(name)
-        return tuple(text if len(names) == len(self.each) else
-                     f'{"axis" if len(names) == 1 else "axes"} {", ".join(names)}: {text}'
+        found = gathered((name, text) for name, item in self.each.items() for text in item.notes)
+        return tuple(text if len(names) == len(self.each) else f'{spoken(names)}: {text}'
                      for text, names in found.items())
 
 
@@ -128,7 +139,7 @@ def _plant_changes(history: RunHistory) -> list[str]:
 
 
 def plan(run: RunData, overrides: Mapping[str, Any], *, given: Mapping[str, Any] | None = None,
-         fit: bool = False) -> Plan:
+         fit: bool = False, of_several: bool = False) -> Plan:
     """Return what to simulate.
 
     Args:
@@ -136,9 +147,11 @@ def plan(run: RunData, overrides: Mapping[str, Any], *, given: Mapping[str, Any]
         overrides: Dotted key → value: what is changed.
         given: Dotted keys of what ran, for logs without it; overrules the log.
         fit: Estimate plant and dead-zone from the log.
+        of_several: Whether the run is that of one axis of several, which may be coupled.
 
     Raises:
-        ConfigurationError: No plant model, and which parameters it lacks; a value not allowed.
+        ConfigurationError: No plant model, and which parameters it lacks; a value not allowed; a
+            fit of an axis that is coupled to others.
         RecordingError: The log has no states, or no configuration.
     """
     simulated = is_simulated(run)
@@ -173,6 +186,8 @@ def plan(run: RunData, overrides: Mapping[str, Any], *, given: Mapping[str, Any]
         base = base.replace(**{'loop.duration': (end - origin) or base.loop.period})
     found = None
     if fit:
+        if of_several and (knows_others(base) or knows_others(base.replace(**overrides))):
+            raise ConfigurationError('--fit', True, FITS_ONE)
         found = fit_log(run, base)
         base = base.replace(**fitted_keys(found, base))
     chosen = base.replace(**overrides)
@@ -188,6 +203,26 @@ def plan(run: RunData, overrides: Mapping[str, Any], *, given: Mapping[str, Any]
     return Plan(chosen, _memory(run, base, chosen), tuple(notes), found, as_recorded)
 
 
+def plan_axis(run: RunData, axis: str, overrides: Mapping[str, Any], *,
+              given: Mapping[str, Any] | None = None, fit: bool = False) -> Plan:
+    """Return what to simulate of one axis; where it is `coupled`, `plan_axes` is what is asked.
+
+    Args:
+        run: The recorded run.
+        axis: Name of the axis.
+        overrides: Dotted key → value: what is changed, as of `of_axis`.
+        given: Dotted keys of what ran, for logs without it; overrules the log.
+        fit: Estimate plant and dead-zone from the log.
+
+    Raises:
+        ConfigurationError: As of `plan` and `of_axis`.
+        RecordingError: As of `plan`; there is no such axis.
+    """
+    data = axis_run(run, axis)
+    return plan(data, _of_place(of_axis(overrides, axis), axis, run.axes), given=given, fit=fit,
+                of_several=bool(run.axes))
+
+
 def plan_axes(run: RunData, overrides: Mapping[str, Any], *,
               given: Mapping[str, Mapping[str, Any]] | None = None) -> MachinePlan:
     """Return what to simulate of a run of several axes, all of them together.
@@ -201,16 +236,10 @@ def plan_axes(run: RunData, overrides: Mapping[str, Any], *,
         ConfigurationError: As of `plan`; a key of no axis, axes that no longer go together.
         RecordingError: As of `plan`.
     """
-    common, own = split_keys(overrides)
-    check_axes(own, run.axes)
-    if 'loop.axes' in common:
-        raise ConfigurationError('loop.axes', common['loop.axes'], 'the axes are those of the run')
+    check_axes(split_keys(overrides)[1], run.axes)
     each = {}
-    for place, (name, data) in enumerate(each_axis(run).items()):
-        mine = {**common, **own.get(name, {})}
-        seed = mine.get('loop.seed')
-        if isinstance(seed, int):
-            mine['loop.seed'] = (seed + place) % 2 ** 63
+    for name, data in each_axis(run).items():
+        mine = _of_place(overrides, name, run.axes)
         try:
             each[name] = plan(data, mine, given=(given or {}).get(name))
         except (ConfigurationError, RecordingError) as error:
@@ -220,22 +249,37 @@ def plan_axes(run: RunData, overrides: Mapping[str, Any], *,
     return MachinePlan(machine, each)
 
 
-def couples_axes(run: RunData, given: Mapping[str, Mapping[str, Any]]) -> bool:
-    """Return whether plant or law of a run of several axes depend on the other axes.
-
-    Args:
-        run: The recorded run.
-        given: Axis → dotted keys of what ran, as of `plan_axes`.
-    """
-    first = run.axes[0]
-    found, _ = usable({**axis_flat(base_configuration(run), first), **given.get(first, {})})
-    return found is not None and knows_others(found)
-
-
 def of_axis(overrides: Mapping[str, Any], axis: str) -> dict[str, Any]:
-    """Return keys as changes of one axis of a machine; those of the machine stay as they are."""
+    """Return keys as changes of one axis of a machine; those of the machine stay as they are.
+
+    A key that names the axis overrules the same one without a name.
+
+    Raises:
+        ConfigurationError: A key of another axis.
+    """
+    common, own = split_keys(overrides)
+    for name, keys in own.items():
+        if name != axis:
+            key, value = next(iter(keys.items()))
+            raise ConfigurationError(axis_key(name, key), value, 'is of another axis than '
+                                     f'{axis}{suggestion(name, (axis,))}')
     return {key if is_machines(key) else axis_key(axis, key): value
-            for key, value in overrides.items()}
+            for key, value in {**common, **own.get(axis, {})}.items()}
+
+
+def _of_place(overrides: Mapping[str, Any], axis: str, axes: Sequence[str]) -> dict[str, Any]:
+    """Return what changes one axis of a machine, as keys of a loop of this axis alone.
+
+    Raises:
+        ConfigurationError: A change of the axes themselves.
+    """
+    common, own = split_keys(overrides)
+    if 'loop.axes' in common:
+        raise ConfigurationError('loop.axes', common['loop.axes'], 'the axes are those of the run')
+    mine = {**common, **own.get(axis, {})}
+    if 'loop.seed' in mine and axis in axes:
+        mine['loop.seed'] = axis_seed(mine['loop.seed'], axes.index(axis))
+    return mine
 
 
 def fitted_keys(fit: Fit, c: Configuration) -> dict[str, Any]:
@@ -257,7 +301,7 @@ def answer(plan: Plan, run: Run, name: str, start_ns: int) -> RunData:
         name: Name of the recorded run.
         start_ns: Log time of its first sample [ns since the epoch].
     """
-    return _answered(from_run(run, start_ns), plan.as_recorded, name)
+    return _answered(from_run(run, start_ns), {'': plan.as_recorded}, name)
 
 
 def answer_axes(plan: MachinePlan, runs: Mapping[str, Run], name: str, start_ns: int) -> RunData:
@@ -270,13 +314,20 @@ def answer_axes(plan: MachinePlan, runs: Mapping[str, Run], name: str, start_ns:
         start_ns: Log time of its first sample [ns since the epoch].
     """
     return _answered(from_runs(runs, plan.configuration, start_ns),
-                     any(item.as_recorded for item in plan.each.values()), name)
+                     {axis: item.as_recorded for axis, item in plan.each.items()}, name)
 
 
-def _answered(data: RunData, as_recorded: bool, name: str) -> RunData:
-    """Return the run of an answer, without a trajectory that its configuration does not hold."""
+def _answered(data: RunData, as_recorded: Mapping[str, bool], name: str) -> RunData:
+    """Return the run of an answer, without the trajectories that its configuration does not hold.
+
+    Where one axis has none, the keys of all axes go too: they repeat those of the first axis, and
+    an axis without keys of its own would take them for its trajectory.
+    """
+    without = {axis for axis, found in as_recorded.items() if found}
+    if without:
+        without.add('')
     flat = {key: value for key, value in data.configuration.items()
-            if not (as_recorded and parts(key)[1].startswith('trajectory.'))}
+            if not (parts(key)[0] in without and parts(key)[1].startswith('trajectory.'))}
     return replace(data, configuration=flat, info={**data.info, 'what_if_of': name})
 
 
@@ -299,7 +350,7 @@ def _structure(history: RunHistory, flat: dict[str, Any], overrides: Mapping[str
     flat['plant.model'] = model
     needed = [f'plant.{item.name}' for item in schema.fields(PLANTS.load(model).Parameters)]
     needed += [f'plant.dead_zone.{name}' for name in ZONE]
-    lacking = [key for key in needed if key not in overrides]
+    lacking = [key for key in needed if key not in overrides and key != PLANT_AXIS]
     if lacking and not fit:
         raise ConfigurationError('plant.model', model, f'{what}; it lacks {", ".join(lacking)}: '
                                  'give them by --set KEY=VALUE, or --fit estimates them')

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from dz_ros.core.axes_keys import is_machines, parts, section_of
+from dz_ros.core.axes_keys import axis_seed, is_machines, parts, section_of
 from dz_ros.core.dataset import RunData
 from dz_ros.core.events import ConfigurationEvent, EventError, parse
 from dz_ros.errors import RecordingError, suggestion
@@ -32,9 +32,8 @@ def axis_flat(flat: Mapping[str, Any], axis: str) -> dict[str, Any]:
     names = flat.get('loop.axes')
     if isinstance(names, (list, tuple)) and axis in names:
         found['loop.axes'] = []
-        seed = flat.get('loop.seed')
-        if isinstance(seed, int):
-            found['loop.seed'] = (seed + list(names).index(axis)) % 2 ** 63
+        if 'loop.seed' in flat:
+            found['loop.seed'] = axis_seed(flat['loop.seed'], list(names).index(axis))
     return {**found, **own}
 
 

@@ -7,6 +7,7 @@ Over 300 lines: every verb, of one machine and its run.
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -226,9 +227,68 @@ def test_whatif_takes_what_ran_from_a_file_for_all_axes(recorded, config, capsys
                  '--out', str(tmp_path / 'out'), '--record', str(tmp_path / 'made')]) == 0
     made = read_run(tmp_path / 'made')
     assert made.configuration == {**read_run(recorded).configuration, 'loop.duration': 0.5}
-    assert main(['bag', 'whatif', recorded, '--config', 'two_link_arm', '--set',
-                 'loop.duration=0.5']) == 2
-    assert '--axis = ' in capsys.readouterr().err
+    for words, wanted in (
+            (['two_link_arm'], "--config = 'two_link_arm': is of axes shoulder, elbow, and lacks "
+             'axes surge, yaw of the run'),
+            (['wang2004'], "--config = 'wang2004': is of one axis, without a name, and lacks"),
+            (['two_link_arm', '--axis', 'yaw'], 'and lacks axis yaw of the run')):
+        assert main(['bag', 'whatif', recorded, '--set', 'loop.duration=0.5', '--config',
+                     *words]) == 2
+        assert wanted in capsys.readouterr().err
+
+
+def test_whatif_of_one_axis_needs_no_other_of_the_file_and_keeps_its_noise(capsys, tmp_path):
+    """But where plant or law couple the axes: then all are needed."""
+    own, both, run = (str(tmp_path / item) for item in ('own.yaml', 'both.yaml', 'run'))
+    text = 'loop: {{axes: [{}], duration: 0.5, seed: 5}}\nplant: {{noise: [0.0001, 0.001]}}\n'
+    (tmp_path / 'own.yaml').write_text(text.format('yaw, roll'), encoding='ascii')
+    (tmp_path / 'both.yaml').write_text(text.format('surge, yaw'), encoding='ascii')
+    assert main(['simulate', both, '--record', run]) == 0
+    expected = read_run(run).channels['state'].axis('yaw').values
+    for place, (file, words) in enumerate(((own, []), (both, []), (both, ['loop.seed=5']))):
+        made, set_ = str(tmp_path / f'made{place}'), words or ['loop.duration=0.5']
+        assert main(['bag', 'whatif', run, '--axis', 'yaw', '--config', file, '--set', *set_,
+                     '--out', str(tmp_path / f'out{place}'), '--record', made]) == 0
+        assert np.array_equal(read_run(made).channels['state'].values, expected)
+    capsys.readouterr()
+    assert main(['bag', 'whatif', run, '--axis', 'yaw', '--config', own, '--set',
+                 'controller.law=coupled_eso']) == 2
+    assert 'is of axes yaw, roll, and lacks axis surge of the run' in capsys.readouterr().err
+
+
+def test_whatif_of_an_axis_that_the_change_couples_does_not_hold_the_others(recorded, capsys,
+                                                                            tmp_path):
+    words = ['bag', 'whatif', recorded, '--out', str(tmp_path / 'out')]
+    for key in ('controller.law=coupled_eso', 'controller.inertia=[1.0, 0.1, 0.1, 1.0]',
+                'controller.lambda=1.0', 'loop.duration=0.2'):
+        words += ['--set', key]
+    assert main([*words, '--axis', 'yaw']) == 2
+    error = capsys.readouterr().err
+    assert "axes.yaw.controller.law = 'coupled_eso'" in error
+    assert 'must be the law of all' in error
+    assert error.count('\n') == 1
+    assert not (tmp_path / 'out').exists()
+    assert main(words) == 0
+    assert '0.2 s of loop, 2 axes, in ' in capsys.readouterr().out
+
+
+def test_a_coupled_what_if_that_diverges_or_has_no_room_is_one_line(capsys, tmp_path, monkeypatch):
+    run = str(tmp_path / 'run')
+    assert main(['simulate', 'rov_planar', '--duration', '0.2', '--record', run]) == 0
+    capsys.readouterr()
+    assert main(['bag', 'whatif', run, '--axis', 'yaw', '--set', 'plant.x0=[0.0, 1e200]']) == 2
+    error = capsys.readouterr().err
+    assert re.search(r'ax(is|es) .*: the loop diverged, .* at t = \S+ s: try a smaller', error)
+    assert error.count('\n') == 1
+
+    def full(*_):
+        raise MemoryError
+
+    monkeypatch.setattr('dz_ros.cli.offline.simulate_together', full)
+    assert main(['bag', 'whatif', run, '--set', 'loop.duration=1e9']) == 2
+    error = capsys.readouterr().err
+    assert 'loop.duration = 1000000000.0: this machine has no room for 2000' in error
+    assert error.count('\n') == 1
 
 
 def test_what_does_not_go_with_the_axes_of_a_run_is_one_line(recorded, config, capsys, tmp_path):
@@ -244,7 +304,8 @@ def test_what_does_not_go_with_the_axes_of_a_run_is_one_line(recorded, config, c
             (['bag', 'whatif', recorded, '--axis', 'yaw', '--set', 'loop.axes=[a,b]'],
              'loop.axes'),
             (['bag', 'whatif', recorded, '--axis', 'yaw', '--set',
-              'axes.yaw.controller.lambda=3'], 'axes.yaw.controller.lambda = 3'),
+              'axes.surge.controller.lambda=3'],
+             'axes.surge.controller.lambda = 3: is of another axis than yaw'),
             (['bag', 'audit', one, '--config', config], 'is of axes surge, yaw, the run of one'),
             (['bag', 'audit', recorded, '--config', 'two_link_arm'],
              'is of axes shoulder, elbow, the run of surge, yaw'),

@@ -23,7 +23,7 @@ from dz_ros.core.plants.coupled import CoupledParameters, CoupledPlant
 from dz_ros.core.plants.servo import Servo
 from dz_ros.core.schema import parameter
 from dz_ros.drivers.simulated import SimulatedActuator
-from dz_ros.errors import ConfigurationError
+from dz_ros.errors import ConfigurationError, DivergedError
 from dz_ros.files.configurations import (
     flat_parameters,
     format_parameters,
@@ -309,6 +309,28 @@ def test_a_law_that_knows_all_axes_gets_own_numbers_first():
                             [0.0] * run.terms.shape[1])
             assert run.v[k] == own - 0.1 * float(error[other][k])
         assert math.isfinite(run.x[-1, 0])
+
+
+@pytest.mark.parametrize(('c', 'where', 'samples'), [
+    # A command that is no number cannot be rounded; it acts three samples late.
+    (lambda: Configuration.from_flat({
+        **SPRINGS, 'plant.command_limit': 0.0, 'loop.delay': 3,
+        'axes.right.plant.x0': [1e308, 0.0], 'axes.right.plant.command_resolution': 0.1}),
+     'axis right', 3),
+    # An angle that is no number has no cosine; the vehicle moves as one.
+    (lambda: load_configuration('rov_planar', ['axes.yaw.plant.x0=[0.0, 1.0e+200]']),
+     'axes surge, sway, yaw', 1)], ids=['axis', 'plant'])
+def test_coupled_axes_that_diverge_are_named_with_the_first_sample_that_fails(c, where, samples):
+    c = c()
+    period = c.loop.period
+    with pytest.raises(DivergedError, match=rf'^{where}: the loop diverged') as caught:
+        simulate_axes(c)
+    assert caught.value.t == pytest.approx(samples * period)
+    assert caught.value.where == where
+    with pytest.raises(DivergedError):
+        simulate_axes(c.replace(**{'loop.duration': samples * period}))
+    if samples > 1:
+        simulate_axes(c.replace(**{'loop.duration': (samples - 1) * period}))
 
 
 @pytest.mark.parametrize(('changed', 'wanted'), [

@@ -2,7 +2,8 @@
 """``dz bag whatif RUN --set KEY=VALUE …``: the recorded loop again with something changed.
 
 Of a run of several axes all are simulated, with the change in each of them or in that of --axis.
-One axis alone is simulated where --axis names one that nothing couples to the others.
+One axis alone is simulated where --axis names one that nothing couples to the others, with the
+change made.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from dz_ros.cli.offline import simulate_machine, simulate_offline
 from dz_ros.cli.options import add_recording, read_recording, refuse_existing, window
 from dz_ros.cli.output import note_run, print_lines
 from dz_ros.cli.progress import stage
+from dz_ros.core.axes import spoken
+from dz_ros.core.axes_keys import axis_seed
 from dz_ros.core.dataset import RunData
 from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import flat_parameters, load_configuration
@@ -26,10 +29,12 @@ from dz_ros.identification.estimation.prediction_error import Fit
 from dz_ros.replay.whatif import (
     answer,
     answer_axes,
-    couples_axes,
+    FITS_ONE,
     of_axis,
+    Plan,
     plan,
     plan_axes,
+    plan_axis,
 )
 from dz_ros.report.compare import compare, write_comparison
 from dz_ros.runs.axes import axis_run, choose_axis
@@ -66,34 +71,47 @@ def run(arguments: argparse.Namespace) -> int:
         raise ConfigurationError('--set', '', 'what if what? give KEY=VALUE, e.g. '
                                  'controller.epsilon=0.01')
     refuse_existing(arguments.record)
-    whole = read_recording(arguments.run, arguments.namespace)
-    given = _given(arguments, whole.axes)
-    if whole.axes and (arguments.axis is None or couples_axes(whole, given)):
-        return _all_axes(arguments, whole, overrides, given)
-    return _one_axis(arguments, choose_axis(whole, arguments.axis), overrides,
-                     given.get(arguments.axis or ''))
+    whole, axis = read_recording(arguments.run, arguments.namespace), arguments.axis
+    if whole.axes and axis is None:
+        return _all_axes(arguments, whole, overrides)
+    data = choose_axis(whole, axis)
+    with stage('fitting the plant' if arguments.fit else 'reading what ran'):
+        if axis is None:
+            keys = (None if arguments.config is None else
+                    flat_parameters(arguments.config, namespace=arguments.namespace or ''))
+            planned = plan(data, overrides, given=keys, fit=arguments.fit)
+        else:
+            planned = plan_axis(whole, axis, overrides, fit=arguments.fit,
+                                given=_given(arguments, whole, (axis,)).get(axis))
+    if whole.axes and planned.coupled:
+        return _all_axes(arguments, whole, of_axis(overrides, axis))
+    return _one_axis(arguments, data, planned, overrides)
 
 
-def _given(arguments: argparse.Namespace, axes: tuple[str, ...]) -> dict[str, dict[str, Any]]:
-    """Return axis → the keys of --config; that of a run of one axis is called ''.
+def _given(arguments: argparse.Namespace, whole: RunData,
+           axes: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """Return axis → the keys of --config, of some axes of a run; the file may have others.
+
+    The noise of an axis is that of its place in the run.
 
     Raises:
-        ConfigurationError: The file cannot be used, or has no such axes.
+        ConfigurationError: The file cannot be used, or lacks one of the axes.
     """
     if arguments.config is None:
         return {}
-    namespace = arguments.namespace or ''
-    if not axes and arguments.axis is None:
-        return {'': flat_parameters(arguments.config, namespace=namespace)}
-    machine = load_configuration(arguments.config, (), namespace)
-    return {name: machine.axis(name).to_flat() for name in axes or (arguments.axis,)}
+    machine = load_configuration(arguments.config, (), arguments.namespace or '')
+    lacking = [name for name in axes if name not in machine.axis_names]
+    if lacking:
+        has = spoken(machine.axis_names) if machine.axes else 'one axis, without a name'
+        raise ConfigurationError('--config', arguments.config, f'is of {has}, and lacks '
+                                 f'{spoken(lacking)} of the run')
+    return {name: {**machine.axis(name).to_flat(), 'loop.seed': axis_seed(
+        machine.loop.seed, whole.axes.index(name) if whole.axes else 0)} for name in axes}
 
 
-def _one_axis(arguments: argparse.Namespace, data: RunData, overrides: Mapping[str, Any],
-              given: Mapping[str, Any] | None) -> int:
+def _one_axis(arguments: argparse.Namespace, data: RunData, planned: Plan,
+              overrides: Mapping[str, Any]) -> int:
     """Answer for a run of one axis, or for one axis that does not depend on others."""
-    with stage('fitting the plant' if arguments.fit else 'reading what ran'):
-        planned = plan(data, overrides, given=given, fit=arguments.fit)
     if planned.fit is not None:
         print_lines(fit_lines(planned.fit))
     begin = time.perf_counter()
@@ -108,8 +126,8 @@ def _one_axis(arguments: argparse.Namespace, data: RunData, overrides: Mapping[s
     return 0
 
 
-def _all_axes(arguments: argparse.Namespace, whole: RunData, overrides: Mapping[str, Any],
-              given: Mapping[str, Mapping[str, Any]]) -> int:
+def _all_axes(arguments: argparse.Namespace, whole: RunData,
+              overrides: Mapping[str, Any]) -> int:
     """Answer for all axes of a machine; the change may be that of --axis, which is then shown.
 
     Raises:
@@ -117,13 +135,9 @@ def _all_axes(arguments: argparse.Namespace, whole: RunData, overrides: Mapping[
     """
     axis = arguments.axis
     if arguments.fit:
-        raise ConfigurationError('--fit', True, 'fits one axis that neither plant nor law couple '
-                                 'to others: choose it with --axis, or give the parameters')
-    if axis is not None:
-        choose_axis(whole, axis)
-        overrides = of_axis(overrides, axis)
+        raise ConfigurationError('--fit', True, FITS_ONE)
     with stage('reading what ran'):
-        planned = plan_axes(whole, overrides, given=given)
+        planned = plan_axes(whole, overrides, given=_given(arguments, whole, whole.axes))
     begin = time.perf_counter()
     done = simulate_machine(planned.configuration, planned.memories)
     elapsed = time.perf_counter() - begin

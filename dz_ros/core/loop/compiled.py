@@ -10,7 +10,7 @@ inlined; a user's plant or law that does allocate is compiled with it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.util import find_spec
@@ -148,8 +148,7 @@ def compiled_loop(configuration: Configuration) -> Loop:
     return loops[key]
 
 
-def simulate_fast(configuration: Configuration) -> Run:
+def simulate_fast(configuration: Configuration,
+                  memory: Sequence[float] | None = None) -> Run:
     """Return `simulate`'s run, compiled where numba is installed, in plain Python elsewhere."""
-    if not available():
-        return simulate(configuration)
-    return simulate(configuration, compiled_loop(configuration))
+    return simulate(configuration, compiled_loop(configuration) if available() else None, memory)

@@ -8,6 +8,8 @@ that serves several axes (``core/plants/coupled.py``) moves all of them together
 
 with the commands held and the dead-zones evaluated at every stage, as in mathematics.md §3. The
 order of operations in a sample is that of the scalar loop, all axes in each of its steps. (ours)
+
+Over 300 lines: the motion of all axes, the loop around it, and which of both ways axes go.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from typing import Any
 
 import numpy as np
 
+from dz_ros.core.axes import spoken
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.deadzone import dead_zone, played, residual
 from dz_ros.core.design.observation import observer_of
@@ -25,36 +28,16 @@ from dz_ros.core.loop.offline import measurement_noise, Run, simulate
 from dz_ros.core.plants.coupled import coupled_regressors, CoupledPlant
 from dz_ros.core.signals import STATUS
 from dz_ros.core.tracking import shown_position
+from dz_ros.errors import DivergedError, LoopError
 
 Numbers = Sequence[float]
+ALL = -1
+"""In place of an axis: what is computed is of all axes at once."""
 
 
 def knows_others(configuration: Configuration) -> bool:
     """Return whether plant or law of an axis depend on the other axes."""
     return isinstance(configuration.plant, CoupledPlant) or configuration.law.coupled
-
-
-def is_coupled(configuration: Configuration) -> bool:
-    """Return whether the axes cannot be computed one after the other."""
-    return bool(configuration.axes) and knows_others(configuration)
-
-
-def simulate_axes(configuration: Configuration,
-                  simulate_one: Callable[[Configuration], Run] = simulate) -> dict[str, Run]:
-    """Return axis → its closed loop, from t = 0 to the duration; one axis is called ''.
-
-    Args:
-        configuration: What to run.
-        simulate_one: Runs an axis that nothing couples to others.
-
-    Raises:
-        OverflowError, ValueError: As of `simulate`.
-    """
-    if not configuration.axes:
-        return {'': simulate_one(configuration)}
-    if is_coupled(configuration):
-        return simulate_together(configuration)
-    return {name: simulate_one(item) for name, item in configuration.axes}
 
 
 class Motion:
@@ -182,8 +165,23 @@ def simulate_together(configuration: Configuration,
             ones.
 
     Raises:
-        OverflowError, ValueError: As of `simulate`.
+        DivergedError: An axis diverged beyond what its functions can evaluate, or all of them
+            where they are moved together. What ends in infinities or NaN without that is returned.
     """
+    at = [-1, ALL]
+    try:
+        return _together(configuration, memories, at)
+    except (OverflowError, ValueError) as error:
+        if at[0] < 0:       # before the first sample, so not of the loop
+            raise
+        names = configuration.axis_names
+        raise DivergedError(at[0] * configuration.loop.period, spoken(
+            names if at[1] == ALL else names[at[1]:at[1] + 1])) from error
+
+
+def _together(configuration: Configuration, memories: Sequence[Sequence[float] | None],
+              at: list[int]) -> dict[str, Run]:
+    """Return what `simulate_together` does; `at` holds the sample and axis that is computed."""
     c = configuration
     each, period, count = c.each, c.loop.period, c.loop.samples + 1
     n, axes = c.plant.order, range(len(c.each))
@@ -203,6 +201,7 @@ def simulate_together(configuration: Configuration,
         t = k * period
         x_d, measured = [], []
         for i in axes:
+            at[:] = k, i
             followed, item, now = [0.0] * (n + 1), each[i], list(motion.x[i])
             now = [now[j] + float(noise[i][k, j]) for j in range(n)]
             for j, quantum in enumerate(item.quanta):
@@ -217,6 +216,7 @@ def simulate_together(configuration: Configuration,
             measured.append(now)
         after: list[tuple[float, ...]] = []
         for i in axes:
+            at[1] = i
             law = each[i].law
             terms = [0.0] * width
             given: tuple[Sequence[float], Sequence[float], Sequence[float]]
@@ -238,19 +238,21 @@ def simulate_together(configuration: Configuration,
             rows['x'][k], rows['measured'][k], rows['x_d'][k] = motion.x[i], measured[i], x_d[i]
             rows['v'][k, 0], rows['terms'][k] = v, terms
         memory = [_scheduled(item, row, t) for item, row in zip(each, after, strict=True)]
-        held = [held_command(float(out[i]['v'][k - c.loop.delay, 0]) if k >= c.loop.delay
-                             else 0.0, each[i].plant_settings.command_limit,
-                             each[i].plant_settings.command_resolution) for i in axes]
         for i in axes:
-            play = each[i].plant_settings.backlash
-            behind[i] = played(held[i], behind[i], play) if play > 0.0 else held[i]
-        held = behind
+            at[1] = i
+            settings = each[i].plant_settings
+            held = held_command(float(out[i]['v'][k - c.loop.delay, 0]) if k >= c.loop.delay
+                                else 0.0, settings.command_limit, settings.command_resolution)
+            behind[i] = (played(held, behind[i], settings.backlash) if settings.backlash > 0.0
+                         else held)
+        at[1] = ALL
         push = [_push(each[i], k) for i in axes]
-        for i, truth in enumerate(motion.truths(held, t, push)):
-            out[i]['held'][k, 0], out[i]['truth'][k] = held[i], truth
+        for i, truth in enumerate(motion.truths(behind, t, push)):
+            out[i]['held'][k, 0], out[i]['truth'][k] = behind[i], truth
         if k < count - 1:
+            at[0] = k + 1
             substeps = c.plant_settings.substeps
-            motion.advance(held, t, period / substeps, substeps, push)
+            motion.advance(behind, t, period / substeps, substeps, push)
     stamps = np.arange(count, dtype=np.float64) * period
     found = {}
     for i, name in enumerate(c.axis_names):
@@ -259,6 +261,35 @@ def simulate_together(configuration: Configuration,
         for array in arrays:
             array.flags.writeable = False
         found[name] = Run(each[i], *arrays)
+    return found
+
+
+def simulate_axes(configuration: Configuration, simulate_one: Callable[..., Run] = simulate,
+                  memories: Sequence[Sequence[float] | None] = (),
+                  simulate_all: Callable[..., dict[str, Run]] = simulate_together
+                  ) -> dict[str, Run]:
+    """Return axis → its closed loop, from t = 0 to the duration; one axis is called ''.
+
+    Args:
+        configuration: What to run.
+        simulate_one: Called with an axis that nothing couples to others, and `memory`.
+        memories: The laws' memories before the first sample; None, or none at all = the initial
+            ones.
+        simulate_all: Called with a machine whose axes are coupled, and `memories`.
+
+    Raises:
+        OverflowError, ValueError: As of `simulate` and `simulate_together`.
+        LoopError: As of `simulate_one`, with the axis.
+    """
+    if configuration.axes and knows_others(configuration):
+        return simulate_all(configuration, memories)
+    each = configuration.axes or (('', configuration),)
+    found = {}
+    for (name, item), memory in zip(each, memories or (None,) * len(each), strict=True):
+        try:
+            found[name] = simulate_one(item, memory=memory)
+        except LoopError as error:
+            raise LoopError(f'axis {name}: {error}' if name else str(error)) from error
     return found
 
 

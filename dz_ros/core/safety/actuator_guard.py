@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from dz_ros.core.axes import rows_maker
+from dz_ros.core.axes import rows_maker, spoken
 from dz_ros.core.plants.base import Plant
 from dz_ros.core.records import Command
 from dz_ros.core.safety.command_limiter import limiter_of
@@ -138,9 +138,8 @@ class ActuatorGuard:
         """Return how a reason begins that is of the axes whose numbers differ."""
         if len(self._axes) < 2:
             return ''
-        names = [axis for axis, one, other in zip(self._axes, before, after, strict=True)
-                 if one != other]
-        return f'{"axis" if len(names) == 1 else "axes"} {", ".join(names)}: '
+        return spoken([axis for axis, one, other in zip(self._axes, before, after, strict=True)
+                       if one != other]) + ': '
 
     def poll(self, t: float, senders: int = 1) -> tuple[Any, float] | None:
         """Check for timeouts; return the safe command and since when it holds, if it is new.
