@@ -43,14 +43,14 @@ class Watched(SimulatedActuator):
 
 
 def session(flat, limits=LIMITS, plan=None, stopped=lambda: '', driver=Watched,
-            wait=lambda seq: seq):
+            wait=lambda seq: seq, kept=None):
     c = Configuration.from_flat({**SERVO, **flat})
     experiment = Experiment(limits, plan or Plan(repeats=4), c.plant.order, c.loop.period,
                             c.safety.safe_command)
     hosted = HostedDriver(c)
     hosted.driver = driver(c.driver_parameters, c)
     try:
-        samples = run_session(c, experiment, wait, stopped, hosted)
+        samples = run_session(c, experiment, wait, stopped, hosted, kept)
     except DriverError as error:
         return hosted.driver, experiment, error
     return hosted.driver, experiment, samples
@@ -209,6 +209,21 @@ def test_a_device_that_missed_its_host_is_reset_and_the_move_made_again():
     assert not isinstance(samples, DriverError)
     assert experiment.stalls == pytest.approx([0.3, 0.05])
     assert ('safe', 0.0) not in driver.commanded[:100]
+
+
+def test_moves_whose_device_is_not_let_go_are_reported_and_kept():
+    class Stuck(Watched):
+        def disable(self):
+            super().disable()
+            raise DriverError('the relay is stuck')
+
+    kept = []
+    driver, experiment, error = session({}, driver=Stuck, kept=kept.append)
+    assert type(error) is DriverError
+    assert str(error) == 'letting the device go failed: the relay is stuck'
+    assert driver.commanded[-2:] == ['disabled', 'closed']
+    assert [samples.kinds[-1] for samples in kept] == ['rest']
+    assert kept[0].repeat.max() == experiment.plan.repeats - 1
 
 
 def test_a_fault_without_a_stall_ends_it():

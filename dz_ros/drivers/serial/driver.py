@@ -108,9 +108,9 @@ class Serial(Driver):
             1.0 if self._info is None else self._info.command_scale)
 
     @property
-    def device_shared(self) -> bool:
-        """Whether the device has motors of other axes."""
-        return len(self._board.motors) > 1
+    def device(self) -> Board | None:
+        """The board, where it has motors of other axes."""
+        return self._board if len(self._board.motors) > 1 else None
 
     @property
     def measured(self) -> int:
@@ -234,6 +234,14 @@ class Serial(Driver):
             DriverError: It is not there, its fault lasts, or its position is lost.
         """
         self._ask(self._board.recover)
+
+    def resume(self) -> None:
+        """Take the device as it is now, give it power if it had it; trip and e-stop last.
+
+        Raises:
+            DriverError: It is not there, takes no power, or its position is lost.
+        """
+        self._ask(self._board.resume)
 
     def applied_command(self) -> float | None:
         """Return what the device holds, by its mode and the newest command it has taken."""
