@@ -156,7 +156,7 @@ def test_a_signal_gives_the_safe_command_within_a_sample(tmp_path, monkeypatch, 
         signal.SIGTERM: (2, 'dz: error: SIGTERM\n'),
         signal.SIGHUP: (2, 'dz: error: SIGHUP\n')}[number]
     assert len([item for item in device.commanded if isinstance(item, float)]) == 100
-    assert device.commanded[100:] == [('safe', 0.0), ('safe', 0.0), 'disabled']
+    assert device.commanded[100:] == [('safe', 0.0), 'disabled']
     assert signal.getsignal(number) is earlier
     assert not out.exists()
 
@@ -171,7 +171,7 @@ def test_after_ctrl_c_a_device_that_is_not_disabled_is_not_said_to_be(tmp_path, 
     assert capsys.readouterr().err == (
         'dz: interrupted: letting the device go failed: the relay is stuck; nothing is kept; the '
         'same command begins again\n')
-    assert device.commanded[100:] == [('safe', 0.0), ('safe', 0.0), 'disabled']
+    assert device.commanded[100:] == [('safe', 0.0), 'disabled']
 
 
 @pytest.mark.parametrize(('number', 'code', 'printed'), [

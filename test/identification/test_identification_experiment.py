@@ -295,7 +295,7 @@ def test_a_stop_gives_the_safe_command_in_the_same_sample():
     assert isinstance(error, StoppedError)
     assert str(error) == 'e-stop pressed'
     assert len([item for item in driver.commanded if isinstance(item, float)]) == 799
-    assert driver.commanded[799:] == [('safe', 0.0)] * 2 + ['disabled', 'closed']
+    assert driver.commanded[799:] == [('safe', 0.0), 'disabled', 'closed']
 
 
 def test_a_safe_command_of_its_own_is_what_rests():

@@ -93,7 +93,7 @@ def mode_of(port):
 
 
 def test_a_trip_of_the_other_motor_stops_the_moves(serial_device, processes, tmp_path):
-    for attempt in range(TRIES):
+    for _ in range(TRIES):
         device = serial_device('tilt:trip@2+1000', motors=2)
         process = identify(processes, serial_device.port, 'pan', '--out', tmp_path / 'found')
         assert process.wait(120.0) == 2, process.output
@@ -101,7 +101,7 @@ def test_a_trip_of_the_other_motor_stops_the_moves(serial_device, processes, tmp
         if not any(text in error for text in STALLED):
             break
         device.end()
-    assert error == 'dz: error: axis tilt: the device reports fault 7', attempt
+    assert error == 'dz: error: axis tilt: the device reports fault 7'
     assert not (tmp_path / 'found').exists()
     device.wait_for_line('trip begins')
     assert mode_of(serial_device.port) is Mode.FAULT        # without power

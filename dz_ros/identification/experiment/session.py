@@ -121,7 +121,7 @@ def _driven(configuration: Configuration, experiment: Experiment, driver: Hosted
 def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver | Beside,
           limiter: CommandLimiter, wait: Callable[[int], int], stopped: Callable[[], str],
           rows: Rows) -> None:
-    """Run it; whatever ends it, the last thing the driver is given is the safe command."""
+    """Run it; whatever ends it, the caller then lets the device go, by the safe command first."""
     nothing = (math.nan,) * c.plant.order
     seq, over, stall = 0, 0, -math.inf
     x: tuple[float, ...] | None = None
@@ -157,7 +157,5 @@ def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver | Besid
                          experiment.kind))
             seq += 1
     finally:
-        given = limiter.safe(seq * c.loop.period)
-        driver.safe(given, seq * c.loop.period)
         if over < LAST and x is not None:       # the sample in which it was stopped
-            rows.append((seq, x, given, -1, 'rest'))
+            rows.append((seq, x, limiter.safe(seq * c.loop.period), -1, 'rest'))
