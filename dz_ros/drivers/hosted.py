@@ -101,13 +101,17 @@ def let_go(host: Host, v: Any, t: float) -> str:
                 raise
         finally:
             closed = host.close()
-    return '; '.join(filter(None, (disabled, closed)))
+    return _texts(disabled, closed)
 
 
 def tell_not_let_go(error: BaseException, failed: str) -> None:
     """Add to an error that letting the device go went wrong after it; '' = it did not."""
     if failed:
-        error.args = ('; '.join(filter(None, (str(error), f'{NOT_LET_GO}: {failed}'))),)
+        error.args = (_texts(str(error), f'{NOT_LET_GO}: {failed}'),)
+
+
+def _texts(*each: str) -> str:
+    return '; '.join(filter(None, each))
 
 
 class HostedDriver:
@@ -191,10 +195,11 @@ class HostedDriver:
         self.enabled = True
         try:
             checked('enable', self.driver.enable)
-        except BaseException:       # also Ctrl-C
+        except BaseException as error:      # also Ctrl-C
             with held_ends():
                 self._attempt('disable', self.driver.disable)
                 self.enabled = False
+            tell_not_let_go(error, self._failure)
             raise
 
     def disable(self, v: float, t: float) -> str:

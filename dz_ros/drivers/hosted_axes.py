@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from dz_ros.core.axes import Rows
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.safety.health import Report
-from dz_ros.drivers.hosted import HostedDriver, let_go
+from dz_ros.drivers.hosted import HostedDriver, let_go, tell_not_let_go
 from dz_ros.errors import ConfigurationError, DriverError, DzRosError
 from dz_ros.runtime.os_signals import held_ends
 
@@ -78,12 +78,15 @@ class HostedDrivers:
             for place, (name, item) in enumerate(self):  # noqa: B007
                 getattr(item, step)(*arguments)
         except BaseException as error:      # also Ctrl-C
-            done = self.each[:place + 1][::-1]      # what was interrupted may be done as well
+            done = self.part(self.names[:place + 1])    # the interrupted one may be done too
             with held_ends():
-                _all_of([item.close if step == 'open' else
-                         partial(item.disable, item.safe_command, 0.0) for item in done])
+                failed = (done.close() if step == 'open' else
+                          done.disable([item.safe_command for item in done.each], 0.0))
             if isinstance(error, DzRosError):
-                raise DriverError(f'axis {name}: {error}') from error
+                named = DriverError(f'axis {name}: {error}')
+                tell_not_let_go(named, failed)
+                raise named from error
+            tell_not_let_go(error, failed)
             raise
 
     def disable(self, v: Sequence[float], t: float) -> str:

@@ -128,6 +128,19 @@ def test_after_an_enable_that_is_interrupted_no_axis_has_power(hosts, drivers, p
         2 - place)
 
 
+def test_an_enable_that_fails_names_what_could_not_be_disabled_again(hosts, drivers):
+    drivers[2].plan['enable'] = [DriverError('no power')]
+    drivers[2].plan['disable'] = [DriverError('the brake is open')]
+    drivers[0].plan['disable'] = [DriverError('the relay is stuck')]
+    hosts.open()
+    with pytest.raises(DriverError) as caught:
+        hosts.enable()
+    assert str(caught.value) == (
+        'axis z: no power; letting the device go failed: the brake is open; letting the device go '
+        'failed: axis x: the relay is stuck')
+    assert not drivers[1].powered
+
+
 @pytest.mark.parametrize('place', range(3))
 def test_after_an_open_that_is_interrupted_none_is_open(hosts, drivers, place):
     drivers[place].plan['open'] = [KeyboardInterrupt()]
