@@ -171,7 +171,7 @@ def test_an_identification_that_is_interrupted_leaves_no_axis_with_power(
     with pytest.raises(KeyboardInterrupt):
         identified(machine, hosts, lambda: next(samples, 'SIGINT'))
     assert off(drivers)
-    for item in drivers[:place + 1]:
+    for item in drivers if name != 'enable' else drivers[:place]:
         assert item.calls.index('enable') < item.calls.index('safe') < item.calls.index(
             'disable') < item.calls.index('close')
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The moves: within their limits, whatever the device does, and the safe command at every end."""
+"""The moves: within their limits, whatever the device does, and the safe command at every end.
+
+Over 300 lines: all of it runs one session with devices that differ in a method.
+"""
 
 import math
 

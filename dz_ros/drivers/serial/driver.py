@@ -14,6 +14,8 @@ sample is of one state, a fault of one motor stops all and is reported by its ow
 A device that falls silent, repeats itself, restarts, is unplugged or does something else than
 it was asked (`state_monitor`) is a fault until the operator resets, also if it is back within a
 sample: it must not be given power again by a reconnection.
+
+Over 300 lines: the whole contract of a driver, of which the board has what all motors share.
 """
 
 from __future__ import annotations
