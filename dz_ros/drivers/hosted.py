@@ -104,7 +104,7 @@ def let_go(host: Host, v: Any, t: float) -> str:
     return _texts(disabled, closed)
 
 
-def tell_not_let_go(error: BaseException, failed: str) -> None:
+def add_not_let_go(error: BaseException, failed: str) -> None:
     """Add to an error that letting the device go went wrong after it; '' = it did not."""
     if failed:
         error.args = (_texts(str(error), f'{NOT_LET_GO}: {failed}'),)
@@ -199,7 +199,7 @@ class HostedDriver:
             with held_ends():
                 self._attempt('disable', self.driver.disable)
                 self.enabled = False
-            tell_not_let_go(error, self._failure)
+            add_not_let_go(error, self._failure)
             raise
 
     def disable(self, v: float, t: float) -> str:

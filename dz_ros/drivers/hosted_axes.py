@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from dz_ros.core.axes import Rows
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.safety.health import Report
-from dz_ros.drivers.hosted import HostedDriver, let_go, tell_not_let_go
+from dz_ros.drivers.hosted import HostedDriver, let_go, add_not_let_go
 from dz_ros.errors import ConfigurationError, DriverError, DzRosError
 from dz_ros.runtime.os_signals import held_ends
 
@@ -84,9 +84,9 @@ class HostedDrivers:
                           done.disable([item.safe_command for item in done.each], 0.0))
             if isinstance(error, DzRosError):
                 named = DriverError(f'axis {name}: {error}')
-                tell_not_let_go(named, failed)
+                add_not_let_go(named, failed)
                 raise named from error
-            tell_not_let_go(error, failed)
+            add_not_let_go(error, failed)
             raise
 
     def disable(self, v: Sequence[float], t: float) -> str:

@@ -161,8 +161,8 @@ def test_a_signal_gives_the_safe_command_within_a_sample(tmp_path, monkeypatch, 
     assert not out.exists()
 
 
-def test_after_ctrl_c_a_device_that_is_not_disabled_is_not_said_to_be(tmp_path, monkeypatch,
-                                                                      capsys, device):
+def test_after_ctrl_c_a_device_that_may_have_power_is_reported(tmp_path, monkeypatch,
+                                                               capsys, device):
     monkeypatch.setattr('dz_ros.cli.driver.stop_requests.find_spec', lambda _: None)     # no ROS
     monkeypatch.setenv('SIGNAL', str(int(signal.SIGINT)))
     monkeypatch.setenv('STUCK', '1')

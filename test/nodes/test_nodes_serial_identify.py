@@ -111,7 +111,7 @@ def test_after_ctrl_c_no_motor_has_power(serial_device, processes, tmp_path):
     for _ in range(TRIES):
         device = serial_device(motors=2)
         process = identify(processes, serial_device.port, 'pan', '--out', tmp_path / 'found')
-        device.wait_for_line('mode run')
+        device.wait_for_line('running: the script begins')
         code = process.interrupt()
         if code != 2 or not any(text in process.output for text in STALLED):
             break

@@ -100,7 +100,7 @@ def move(c: Configuration, experiment: Experiment, namespace: str,
         hosted: What holds the driver beside those of other axes; None = it is alone.
 
     Raises:
-        DriverError: The device fails, or it was stopped; of what then went wrong it tells too.
+        DriverError: The device fails, or it was stopped; what then went wrong is named.
         KeyboardInterrupt: It was stopped by Ctrl-C, in the same way.
     """
     lockstep = c.driver_class.lockstep

@@ -22,7 +22,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.beside import Beside
 from dz_ros.drivers.conformance.machine import lateness, MachineWatch, overlap, RunQueue
 from dz_ros.drivers.conformance.result import Result
-from dz_ros.drivers.hosted import checked, error_text, HostedDriver, tell_not_let_go
+from dz_ros.drivers.hosted import checked, error_text, HostedDriver, add_not_let_go
 from dz_ros.drivers.hosted_axes import HostedDrivers
 from dz_ros.errors import DriverError, DzRosError
 
@@ -181,7 +181,7 @@ def _then_let_go(subject: _Subject, results: Iterator[Result]) -> Iterator[Resul
     """Yield results, then disable and close; what goes wrong with that is another one.
 
     Raises:
-        DriverError: As of the results; it tells what then went wrong.
+        DriverError: As of the results; what then went wrong is named.
     """
     failed = ''
     try:
@@ -190,7 +190,7 @@ def _then_let_go(subject: _Subject, results: Iterator[Result]) -> Iterator[Resul
         finally:
             failed = subject.stop()
     except (DzRosError, KeyboardInterrupt) as error:
-        tell_not_let_go(error, failed)
+        add_not_let_go(error, failed)
         raise
     finally:
         subject.stop()      # what an interrupt has left, which came before the first one
