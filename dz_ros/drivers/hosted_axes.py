@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 from dz_ros.core.axes import Rows
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.safety.health import Report
-from dz_ros.drivers.hosted import HostedDriver, let_go, add_not_let_go
+from dz_ros.drivers.hosted import add_not_let_go, HostedDriver, let_go
 from dz_ros.errors import ConfigurationError, DriverError, DzRosError
 from dz_ros.runtime.os_signals import held_ends
 

@@ -22,7 +22,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.beside import Beside
 from dz_ros.drivers.conformance.machine import lateness, MachineWatch, overlap, RunQueue
 from dz_ros.drivers.conformance.result import Result
-from dz_ros.drivers.hosted import checked, error_text, HostedDriver, add_not_let_go
+from dz_ros.drivers.hosted import add_not_let_go, checked, error_text, HostedDriver
 from dz_ros.drivers.hosted_axes import HostedDrivers
 from dz_ros.errors import DriverError, DzRosError
 

@@ -17,7 +17,7 @@ import numpy as np
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.safety.command_limiter import CommandLimiter
 from dz_ros.drivers.beside import Beside
-from dz_ros.drivers.hosted import HostedDriver, NOT_LET_GO, add_not_let_go
+from dz_ros.drivers.hosted import add_not_let_go, HostedDriver, NOT_LET_GO
 from dz_ros.errors import DriverError, DzRosError
 from dz_ros.identification.experiment.moves import Experiment, STALL
 from dz_ros.identification.samples import Samples
