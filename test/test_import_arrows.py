@@ -30,7 +30,7 @@ ARROWS = {
     'core': LEAVES,
     'files': LEAVES | {'core'},
     'runs': LEAVES | {'core'},
-    'drivers': LEAVES | {'core'},
+    'drivers': LEAVES | {'core', 'runtime'},
     'recording': LEAVES | {'core', 'files', 'runs'},
     'report': LEAVES | {'core', 'runs'},
     'studies': LEAVES | {'core', 'runs', 'report'},

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One axis of several, checked or identified, the drivers of the others open beside it (ours).
 
-Axes may be devices of one bus or board, which is there for all of them or for none: all are
-opened, enabled and stopped together, and while one is commanded the others get their safe command.
+Axes may be motors of one board or joints of one controller, which is there for all of them or for
+none: these are opened, enabled and stopped together, and while one is commanded the others get
+their safe command. Axes of other devices are left aside, but by the kit that checks all in turn.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ class Beside:
     """Holds one axis with the interface of `HostedDriver`, and the others as far as they must be.
 
     Args:
-        hosts: The drivers of all axes.
+        hosts: The drivers of all axes that are opened.
         place: Which one is commanded.
         all_faults: Whether a fault of any axis is one of this axis, as in a loop; the conformance
             kit wants its own alone.
@@ -25,7 +26,7 @@ class Beside:
     Attributes:
         own: What holds the driver of this axis.
         driver: The driver itself.
-        others: Names of the other axes.
+        others: Names of the other ones of these axes.
         measured: Number of the states x, x', … that it measures.
     """
 
@@ -47,7 +48,7 @@ class Beside:
         self._hosts.open()
 
     def enable(self) -> None:
-        """Enable all.
+        """Enable all; after a failure none is enabled.
 
         Raises:
             DriverError: One refuses; the axis is named.
@@ -96,8 +97,20 @@ class Beside:
 
     def recover(self) -> str:
         """Have all try to leave their faults; return why its own lasts, or that of any axis."""
-        own = [item.recover() for item in self._hosts.each][self._place]
-        return self._hosts.fault() if self._all_faults else own
+        if self._all_faults:
+            return self._hosts.recover()
+        return [item.recover() for item in self._hosts.each][self._place]
+
+    def resume(self) -> str:
+        """Have all go on after a stall of this machine, if the fault is this axis' and no other's.
+
+        Returns:
+            Why not: what is wrong with any axis, where another one has a fault of its own.
+        """
+        own = self.own.fault()
+        if {item.fault() for item in self._hosts.each} - {'', own}:
+            return self._hosts.fault()
+        return self._hosts.resume()
 
     def disable(self, v: float, t: float) -> str:
         """Disable all; return what went wrong."""
@@ -106,6 +119,16 @@ class Beside:
     def close(self) -> str:
         """Close all; return what went wrong."""
         return self._hosts.close()
+
+    def let_go(self, v: float, t: float) -> str:
+        """Disable and close all, as `hosted.let_go`; return what went wrong."""
+        return self._hosts.let_go(self._row(v), t)
+
+    @property
+    def note(self) -> str:
+        """Which other axes get power, as a line to print before that; '' = none."""
+        return (f'its device is that of {", ".join(self.others)} too: enabled with it, at the '
+                'safe command') if self.others else ''
 
     def _row(self, v: float) -> tuple[float, ...]:
         rows: list[Any] = [item.safe_command for item in self._hosts.each]
@@ -123,14 +146,16 @@ def beside_others(machine: Configuration, axis: str | None,
         all_faults: As of `Beside`.
 
     Returns:
-        None where its driver can be opened alone; the other axes are then left aside.
+        None where its driver can be opened alone. Axes of other devices are left aside.
 
     Raises:
         ConfigurationError: A driver does not go with the loop.
     """
     if axis is None or len(machine.axes) < 2:
         return None
-    hosts = HostedDrivers(machine)
-    place = hosts.names.index(axis)
-    shared = hosts.each[place].driver.device_shared
-    return Beside(hosts, place, all_faults) if shared else None
+    every = HostedDrivers(machine)
+    devices = {name: item.driver.device for name, item in every}
+    if devices[axis] is None:
+        return None
+    names = [name for name in every.names if devices[name] is devices[axis]]
+    return Beside(every.part(names), names.index(axis), all_faults)

@@ -12,6 +12,7 @@ and the recording, so that every driver has them. The host calls, in this order:
     each sample    advance(t, seq), fault(), measure()          at once
     each command   command(v, t), or safe(v, t) where the loop must not act      at once
     recover()                                      when the operator resets a fault
+    resume()                                       in `dz driver identify`, after a stall
     safe(v, t), disable(), close()                 whatever happened before
 
 "At once" means: without waiting for the device. A device that answers slowly is served by a
@@ -90,9 +91,14 @@ class Driver(ABC):
         return self.configuration.plant.order
 
     @property
-    def device_shared(self) -> bool:
-        """Whether its device is that of other axes too: no host of this axis alone can have it."""
-        return False
+    def device(self) -> object:
+        """What it shares with the drivers of other axes, a board or a controller; None = nothing.
+
+        Drivers that return the same object are opened, enabled and commanded together or not at
+        all: where one of these axes is commanded alone, `beside.py` holds the others at their
+        safe command.
+        """
+        return None
 
     @property
     def resolution(self) -> float:
@@ -189,6 +195,16 @@ class Driver(ABC):
         Raises:
             DriverError: It lasts.
         """
+
+    def resume(self) -> None:
+        """Leave a fault that a stall of this machine has caused; no operator has looked at it.
+
+        As `recover` unless overridden; a trip or an e-stop of the device must last.
+
+        Raises:
+            DriverError: It lasts.
+        """
+        self.recover()
 
     def applied_command(self) -> float | None:
         """Return the command the device holds now [command unit], None = not known.

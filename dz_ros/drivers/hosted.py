@@ -8,7 +8,7 @@ Calls come in order, and nothing the driver raises ends the loop. What this adds
   `safety.state_hold` such samples in a row, once there has been one, the driver has a fault;
 - the velocity of one that measures positions only (``core/observers``);
 - whatever its code raises while the loop runs is a fault, as text, and ends no process;
-- `close` for each `open`, `disable` for each `enable`, also after a failure;
+- `close` for each `open`, `disable` for each `enable`, also after a failure or an interrupt;
 - the duration of its calls: a driver must not wait for its device.
 
 Over 300 lines: everything a driver is spared.
@@ -20,8 +20,9 @@ from collections import deque
 from collections.abc import Callable
 import math
 from pathlib import Path
+import sys
 import time
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.observation import observer_of
@@ -30,6 +31,7 @@ from dz_ros.core.safety.health import Level, Report, SATURATED_SHARE
 from dz_ros.core.text import printable
 from dz_ros.drivers.contract import Driver
 from dz_ros.errors import ConfigurationError, DriverError, DzRosError, LoopError
+from dz_ros.runtime.os_signals import held_ends
 
 SLOW_CALL_SHARE = 0.5
 """A call that takes more than this share of a period is counted as slow."""
@@ -37,6 +39,7 @@ LONGEST_FAULT = 600
 """Characters of a fault that are passed on: its words may be the device's."""
 _AT_ONCE = ('command', 'safe', 'advance', 'measure', 'fault')
 
+NOT_LET_GO = 'letting the device go failed'
 KEPT_REFERENCES = 256
 """References kept: in lockstep they are sent that far ahead at most."""
 SAME_INSTANT = 1e-9
@@ -67,6 +70,48 @@ def checked(name: str, call: Callable[[], Result]) -> Result:
         raise
     except Exception as error:
         raise DriverError(error_text(name, error)) from error
+
+
+class Host(Protocol):
+    """What is let go: the driver of an axis, or those of several."""
+
+    def disable(self, v: Any, t: float) -> str:
+        """Send the safe command v at loop time t [s] and disable; return what went wrong."""
+
+    def close(self) -> str:
+        """Close what was opened; return what went wrong."""
+
+
+def let_go(host: Host, v: Any, t: float) -> str:
+    """Send the safe command, disable and close, whatever happens; return what went wrong.
+
+    Signals that ask the program to end are held back meanwhile; where it is ending, for good.
+
+    Args:
+        host: The driver, or those of several axes.
+        v: Safe command, of each axis [command unit].
+        t: Loop time [s].
+    """
+    with held_ends(deliver=sys.exc_info()[1] is None):
+        try:
+            try:
+                disabled = host.disable(v, t)
+            except KeyboardInterrupt:   # it came just before, or is of the driver's own
+                host.disable(v, t)
+                raise
+        finally:
+            closed = host.close()
+    return _texts(disabled, closed)
+
+
+def add_not_let_go(error: BaseException, failed: str) -> None:
+    """Add to an error that letting the device go went wrong after it; '' = it did not."""
+    if failed:
+        error.args = (_texts(str(error), f'{NOT_LET_GO}: {failed}'),)
+
+
+def _texts(*each: str) -> str:
+    return '; '.join(filter(None, each))
 
 
 class HostedDriver:
@@ -134,8 +179,9 @@ class HostedDriver:
             if node is not None:
                 checked('attach', lambda: self.driver.attach(node))
             checked('open', self.driver.open)
-        except DzRosError:
-            self.close()
+        except BaseException:       # also Ctrl-C
+            with held_ends():
+                self.close()
             raise
 
     def enable(self) -> None:
@@ -149,19 +195,26 @@ class HostedDriver:
         self.enabled = True
         try:
             checked('enable', self.driver.enable)
-        except DzRosError:
-            self._attempt('disable', self.driver.disable)
-            self.enabled = False
+        except BaseException as error:      # also Ctrl-C
+            with held_ends():
+                self._attempt('disable', self.driver.disable)
+                self.enabled = False
+            add_not_let_go(error, self._failure)
             raise
 
     def disable(self, v: float, t: float) -> str:
-        """Send the safe command and disable it; return what went wrong."""
+        """Send the safe command and disable it; return what went wrong.
+
+        Where that is interrupted, it is still enabled: to be disabled again.
+        """
         if not self.enabled:
             return ''
         self._failure = ''
-        self.safe(v, t)
-        self._attempt('disable', self.driver.disable)
-        self.enabled = False
+        try:
+            self.safe(v, t)
+        finally:
+            self._attempt('disable', self.driver.disable)
+            self.enabled = False
         return self._failure
 
     def close(self) -> str:
@@ -289,6 +342,17 @@ class HostedDriver:
         self._attempt('recover', self.driver.recover)
         self._missing = 0
         return self.fault()
+
+    def resume(self) -> str:
+        """Have it go on after a stall of this machine, with no operator; return why it cannot."""
+        self._failure = ''
+        self._attempt('resume', self.driver.resume)
+        self._missing = 0
+        return self.fault()
+
+    def let_go(self, v: float, t: float) -> str:
+        """Disable and close it, as `let_go`; return what went wrong."""
+        return let_go(self, v, t)
 
     def report(self, report: Report) -> None:
         """Add what is known of it to the diagnostics, and begin a new window."""

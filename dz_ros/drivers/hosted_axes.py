@@ -7,14 +7,19 @@ axes or of none, and one axis' fault is the machine's, with the axis named.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Sequence
+from copy import copy
+from functools import partial
+from typing import Any, TypeVar
 
 from dz_ros.core.axes import gathered, Rows, spoken
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.safety.health import Report
-from dz_ros.drivers.hosted import HostedDriver
+from dz_ros.drivers.hosted import add_not_let_go, HostedDriver, let_go
 from dz_ros.errors import ConfigurationError, DriverError, DzRosError
+from dz_ros.runtime.os_signals import held_ends
+
+Result = TypeVar('Result')
 
 
 class HostedDrivers:
@@ -68,16 +73,21 @@ class HostedDrivers:
         self._all_or_none('enable')
 
     def _all_or_none(self, step: str, *arguments: Any) -> None:
-        for place, (name, item) in enumerate(self):
-            try:
+        name, place = '', 0
+        try:
+            for place, (name, item) in enumerate(self):  # noqa: B007
                 getattr(item, step)(*arguments)
-            except DzRosError as error:
-                for done in reversed(self.each[:place]):
-                    if step == 'open':
-                        done.close()
-                    else:
-                        done.disable(done.safe_command, 0.0)
-                raise DriverError(f'axis {name}: {error}') from error
+        except BaseException as error:      # also Ctrl-C
+            done = self.part(self.names[:place + 1])    # the interrupted one may be done too
+            with held_ends():
+                failed = (done.close() if step == 'open' else
+                          done.disable([item.safe_command for item in done.each], 0.0))
+            if isinstance(error, DzRosError):
+                named = DriverError(f'axis {name}: {error}')
+                add_not_let_go(named, failed)
+                raise named from error
+            add_not_let_go(error, failed)
+            raise
 
     def disable(self, v: Sequence[float], t: float) -> str:
         """Send the safe commands, to all before one is waited for, and disable all.
@@ -85,13 +95,28 @@ class HostedDrivers:
         Returns:
             What went wrong.
         """
-        self.safe(v, t)
-        return self._joined(item.disable(own, t)
-                            for item, own in zip(self.each, v, strict=True))
+        try:
+            self.safe(v, t)
+        finally:
+            found = _all_of([partial(item.disable, own, t)
+                             for item, own in zip(self.each, v, strict=True)])
+        return self._joined(found)
 
     def close(self) -> str:
         """Close those that were opened; return what went wrong."""
-        return self._joined(item.close() for item in self.each)
+        return self._joined(_all_of([item.close for item in self.each]))
+
+    def let_go(self, v: Sequence[float], t: float) -> str:
+        """Disable and close all, as `let_go`; return what went wrong."""
+        return let_go(self, v, t)
+
+    def part(self, names: Sequence[str]) -> HostedDrivers:
+        """Return what holds some of these drivers."""
+        found = copy(self)
+        found.names = tuple(names)
+        found.each = [item for name, item in self if name in names]
+        found.observing = any(item.observing for item in found.each)
+        return found
 
     def configure(self, configuration: Configuration) -> None:
         """Use other limits and parameters from now on."""
@@ -109,8 +134,7 @@ class HostedDrivers:
 
     def safe(self, v: Sequence[float], t: float) -> None:
         """Have all go to their safe states."""
-        for item, own in zip(self.each, v, strict=True):
-            item.safe(own, t)
+        _all_of([partial(item.safe, own, t) for item, own in zip(self.each, v, strict=True)])
 
     def advance(self, t: float, seq: int) -> Rows | None:
         """Let all know that a sample ends at loop time t [s]; return what is true, if known."""
@@ -139,6 +163,10 @@ class HostedDrivers:
         """Have all try to leave their faults; return why one lasts."""
         return self._joined([item.recover() for item in self.each])
 
+    def resume(self) -> str:
+        """Have all go on after a stall of this machine; return why one cannot."""
+        return self._joined([item.resume() for item in self.each])
+
     def report(self, report: Report) -> None:
         """Add what is known of each to the diagnostics, and begin a new window."""
         for name, item in self:
@@ -149,6 +177,18 @@ class HostedDrivers:
         found = gathered((name, fault) for name, fault in zip(self.names, faults, strict=True)
                          if fault)
         return '; '.join(f'{spoken(names)}: {fault}' for fault, names in found.items())
+
+
+def _all_of(calls: Sequence[Callable[[], Result]]) -> list[Result]:
+    """Return what each call returns; all are made, whatever one of them raises."""
+    found: list[Result] = []
+    for place, call in enumerate(calls):
+        try:
+            found.append(call())
+        except BaseException:       # also Ctrl-C
+            _all_of(calls[place + 1:])
+            raise
+    return found
 
 
 def host(configuration: Configuration) -> Any:

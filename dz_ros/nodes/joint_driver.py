@@ -137,9 +137,9 @@ class Joint(Driver):
                 for place, (item, topic) in enumerate(zip(each, topics, strict=True))]
 
     @property
-    def device_shared(self) -> bool:
-        """Whether its controller has joints of other axes."""
-        return len(self.group.joints) > 1
+    def device(self) -> JointGroup | None:
+        """The joints of its controller, where these are of other axes too."""
+        return self.group if len(self.group.joints) > 1 else None
 
     @property
     def measured(self) -> int:

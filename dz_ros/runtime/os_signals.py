@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import signal
+import threading
 from types import FrameType
 from typing import Any
 
@@ -45,7 +46,10 @@ class Stopping:
 
 @contextmanager
 def stop_on_signals() -> Iterator[Stopping]:
-    """Yield the reason that SIGINT or SIGTERM gives; a second one raises KeyboardInterrupt."""
+    """Yield the reason that one of `ENDS` gives; a second one raises KeyboardInterrupt.
+
+    A SIGHUP that is ignored, as `nohup` arranges, stays so.
+    """
     stopping = Stopping()
 
     def handle(number: int, _frame: FrameType | None) -> None:
@@ -53,9 +57,32 @@ def stop_on_signals() -> Iterator[Stopping]:
             raise KeyboardInterrupt
         stopping.stop(signal.Signals(number).name)
 
-    earlier = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    earlier = on_ends(handle)
     try:
         yield stopping
     finally:
         for number, handler in earlier.items():
             signal.signal(number, handler)
+
+
+@contextmanager
+def held_ends(deliver: bool = True) -> Iterator[None]:
+    """Hold `ENDS` back while something must not be interrupted, such as taking power away.
+
+    In another thread than the main one, which no signal interrupts, nothing is held back.
+
+    Args:
+        deliver: Whether the first that came acts afterwards; not where the program ends anyway.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    earlier = on_ends(lambda number, _frame: came.append(number))
+    try:
+        yield
+    finally:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)
+        if came and deliver:
+            signal.raise_signal(came[0])

@@ -22,6 +22,7 @@ DEVICE = '''
 import os
 import signal
 from dz_ros.drivers.simulated import SimulatedActuator
+from dz_ros.errors import DriverError
 
 commanded = []
 
@@ -43,6 +44,8 @@ class Device(SimulatedActuator):
 
     def disable(self):
         commanded.append('disabled')
+        if os.environ.get('STUCK'):
+            raise DriverError('the relay is stuck')
 '''
 
 
@@ -138,7 +141,7 @@ def test_only_yes_is_yes(tmp_path, monkeypatch, capsys, device, answer):
     assert not out.exists()
 
 
-@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_gives_the_safe_command_within_a_sample(tmp_path, monkeypatch, capsys, device,
                                                          number):
     monkeypatch.setattr('dz_ros.cli.driver.stop_requests.find_spec', lambda _: None)     # no ROS
@@ -150,11 +153,38 @@ def test_a_signal_gives_the_safe_command_within_a_sample(tmp_path, monkeypatch, 
     assert (code, capsys.readouterr().err) == {
         signal.SIGINT: (130, 'dz: interrupted: the device has had its safe command and is '
                         'disabled; nothing is kept; the same command begins again\n'),
-        signal.SIGTERM: (2, 'dz: error: SIGTERM\n')}[number]
+        signal.SIGTERM: (2, 'dz: error: SIGTERM\n'),
+        signal.SIGHUP: (2, 'dz: error: SIGHUP\n')}[number]
     assert len([item for item in device.commanded if isinstance(item, float)]) == 100
-    assert device.commanded[100:] == [('safe', 0.0), ('safe', 0.0), 'disabled']
+    assert device.commanded[100:] == [('safe', 0.0), 'disabled']
     assert signal.getsignal(number) is earlier
     assert not out.exists()
+
+
+def test_after_ctrl_c_a_device_that_may_have_power_is_reported(tmp_path, monkeypatch,
+                                                               capsys, device):
+    monkeypatch.setattr('dz_ros.cli.driver.stop_requests.find_spec', lambda _: None)     # no ROS
+    monkeypatch.setenv('SIGNAL', str(int(signal.SIGINT)))
+    monkeypatch.setenv('STUCK', '1')
+    assert main(['driver', 'identify', 'servo', *QUIET, *LIMITS, '--yes', '--out',
+                 str(tmp_path / 'found'), '--set', 'driver.name=a_device:Device']) == 130
+    assert capsys.readouterr().err == (
+        'dz: interrupted: letting the device go failed: the relay is stuck; nothing is kept; the '
+        'same command begins again\n')
+    assert device.commanded[100:] == [('safe', 0.0), 'disabled']
+
+
+@pytest.mark.parametrize(('number', 'code', 'printed'), [
+    (signal.SIGINT, 130, 'dz: interrupted\n'), (signal.SIGTERM, 2, 'dz: error: SIGTERM\n'),
+    (signal.SIGHUP, 2, 'dz: error: SIGHUP\n')])
+def test_a_signal_ends_a_check_with_the_safe_command(monkeypatch, capsys, device, number, code,
+                                                     printed):
+    monkeypatch.setattr('dz_ros.cli.driver.stop_requests.find_spec', lambda _: None)     # no ROS
+    monkeypatch.setenv('SIGNAL', str(int(number)))
+    assert main(['driver', 'check', '--config', 'servo', '--yes', '--set',
+                 'driver.name=a_device:Device']) == code
+    assert capsys.readouterr().err == printed
+    assert device.commanded[100:] == [('safe', 0.0), 'disabled']
 
 
 @pytest.mark.parametrize(('function', 'kept'), [

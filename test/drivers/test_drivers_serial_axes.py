@@ -430,9 +430,65 @@ def test_an_axis_of_one_device_needs_no_others(liars):
     first, second = liars(2), liars(1)
     c = machine(first.port, axes__y__driver__port=second.port)
     assert beside_others(c, 'y') is None
-    assert beside_others(c, 'x').others == ('y', 'z')
+    assert beside_others(c, 'x').others == ('z',)       # y is at the other port
     assert beside_others(c, None) is None
     assert beside_others(c.axis('x'), 'x') is None
+
+
+def test_identifying_one_board_gives_another_no_power(liars):
+    alone, shared = liars(1), liars(2)
+    held = beside_others(machine(shared.port, axes__x__driver__port=alone.port), 'y', True)
+    assert held.others == ('z',)
+    held.open()
+    held.enable()
+    try:
+        deadline = time.monotonic() + TIME_OUT
+        while shared.device.mode is not Mode.RUN:
+            assert time.monotonic() < deadline, held.fault()
+            held.command(1.0, 0.0)
+            time.sleep(0.004)
+    finally:
+        assert held.let_go(0.0, 0.0) == ''
+    assert shared.device.mode is Mode.DISABLED
+    assert alone.device.mode is Mode.DISABLED
+    assert alone.commands == []
+
+
+@pytest.mark.parametrize('latched', [Mode.FAULT, Mode.ESTOP])
+def test_without_an_operator_a_trip_or_an_e_stop_lasts(liars, latched):
+    liar = liars(2)
+    held = beside_others(machine(liar.port, AXES[:2]), 'y', True)
+    held.open()
+    held.enable()
+
+    def until(condition):
+        deadline = time.monotonic() + TIME_OUT
+        while not condition():
+            assert time.monotonic() < deadline, held.fault()
+            held.command(1.0, 0.0)
+            time.sleep(0.004)
+
+    try:
+        until(lambda: liar.device.mode is Mode.RUN)
+        assert held.resume() == ''
+        if latched is Mode.FAULT:
+            liar.faults[1] = 7
+            until(held.fault)
+            assert held.fault() == 'axis y: the device reports fault 7'     # its own
+            liar.faults[1] = 0
+        else:
+            liar.device._enter(Mode.ESTOP)
+            until(held.fault)
+        requests = len(liar.commands)
+        assert held.resume()
+        until(lambda: len(liar.commands) > requests + 20)
+        assert liar.device.mode is latched
+        assert Request.RESET not in {item.request for item in liar.commands[requests:]}
+        until(lambda: not held.recover())       # the operator's
+        until(lambda: liar.device.mode is Mode.RUN)
+    finally:
+        held.let_go(0.0, 0.0)
+    assert liar.device.mode is Mode.DISABLED
 
 
 def test_the_kit_checks_one_axis_of_a_board(liars, capsys, monkeypatch):
@@ -444,7 +500,9 @@ def test_the_kit_checks_one_axis_of_a_board(liars, capsys, monkeypatch):
             *(f'driver.{key}={value}' for key, value in PATIENT.items()))
     main(['driver', 'check', '--config', str(SERVO), '--axis', 'y', '--yes', '--json',
           *(word for key in keys for word in ('--set', key))])
-    found = {item['name']: item for item in map(json.loads, capsys.readouterr().out.splitlines())}
+    printed, beside = capsys.readouterr()
+    assert 'its device is that of x too: enabled with it, at the safe command\n' in beside
+    found = {item['name']: item for item in map(json.loads, printed.splitlines())}
     for name in ('opens', 'safe command', 'stop and reset', 'restart', 'reconnect'):
         assert found[name]['passed'], found[name]
     assert found['as a node']['words'] == 'its device is that of other axes too'

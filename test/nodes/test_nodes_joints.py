@@ -67,7 +67,8 @@ def test_controllers_of_their_own_share_nothing():
     upper, fore, hand = c.make_drivers()
     assert upper.group is fore.group
     assert hand.group is not upper.group
-    assert (upper.device_shared, fore.device_shared, hand.device_shared) == (True, True, False)
+    assert upper.device is fore.device is upper.group
+    assert hand.device is None
 
 
 # What is sent and taken, without ROS.
@@ -442,10 +443,12 @@ def test_one_joint_is_identified_while_the_controller_holds_the_other_at_its_saf
     watcher.wait(lambda: process.poll() is not None, 400.0)
     code = process.poll()
     assert 'its device is that of upper too' in process.output
+    watcher.wait(lambda: robot.held == [0.0, 0.0])      # the last thing it was given
     held = np.array([held for _, held, *_ in robot.interface])
     assert not held[:, 0].any()
     assert held[:, 1].max() > 1.0
     assert held[:, 1].min() < -1.0
+    assert held[-1].tolist() == [0.0, 0.0]
     # A machine that stalls may lose too many states for an answer.
     assert code in (0, 1) or re.search('is not a number in|of the states are lost',
                                        process.output), process.output

@@ -3,6 +3,7 @@
 
 import json
 from pathlib import Path
+import re
 import time
 
 import pytest
@@ -76,12 +77,49 @@ def test_each_motor_is_identified_while_the_other_one_rests(serial_device, proce
             assert found[axis][name]['low'] <= 1.0 <= found[axis][name]['high'], (axis, name)
 
 
+STALLED = ('has tripped', 'no measurement', 'sent nothing')
+"""Parts of the faults that a machine which stands still makes of a device that is all right."""
+TRIES = 10
+
+
+def left_in(device, mode):
+    """Wait until the newest mode that the board has reported, before another greeting, is this."""
+    deadline = time.monotonic() + 60.0
+    while not (modes := re.findall('^mode (.*)$', device.output, re.MULTILINE)) or (
+            modes[-1] != mode):
+        assert time.monotonic() < deadline, modes
+        time.sleep(0.05)
+    return modes
+
+
 def test_a_trip_of_the_other_motor_stops_the_moves(serial_device, processes, tmp_path):
-    device = serial_device('tilt:trip@2+1000', motors=2)
-    process = identify(processes, serial_device.port, 'pan', '--out', tmp_path / 'found')
-    assert process.wait(120.0) == 2, process.output
-    error = process.output.splitlines()[-1]
-    assert error == 'dz: error: axis tilt: the device reports fault 7' or any(
-        text in error for text in ('has tripped', 'no measurement', 'sent nothing')), error
+    for _ in range(TRIES):
+        device = serial_device('tilt:trip@2+1000', motors=2)
+        process = identify(processes, serial_device.port, 'pan', '--out', tmp_path / 'found')
+        assert process.wait(120.0) == 2, process.output
+        error = process.output.splitlines()[-1]
+        if not any(text in error for text in STALLED):
+            break
+        device.end()
+    assert error == 'dz: error: axis tilt: the device reports fault 7'
     assert not (tmp_path / 'found').exists()
     device.wait_for_line('trip begins')
+    modes = left_in(device, 'fault')        # without power
+    assert 'run' in modes
+    assert modes.index('fault') == len(modes) - 1
+
+
+def test_after_ctrl_c_no_motor_has_power(serial_device, processes, tmp_path):
+    for _ in range(TRIES):
+        device = serial_device('garbage@100000', motors=2)      # with a script it names modes
+        process = identify(processes, serial_device.port, 'pan', '--out', tmp_path / 'found')
+        device.wait_for_line('running: the script begins')
+        code = process.interrupt()
+        if code != 2 or not any(text in process.output for text in STALLED):
+            break
+        device.end()
+    assert code == 130, process.output
+    assert process.output.splitlines()[-1] == (
+        'dz: interrupted: the device has had its safe command and is disabled; nothing is kept; '
+        'the same command begins again')
+    assert 'run' in left_in(device, 'disabled')     # not the watchdog's, which is safe

@@ -3,13 +3,16 @@
 
 import gc
 import os
+import signal
 import subprocess
 import sys
+import threading
 
 import pytest
 
 from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
 from dz_ros.runtime.deadlines import Deadlines
+from dz_ros.runtime.os_signals import ENDS, held_ends, stop_on_signals
 from dz_ros.runtime.process import settle, SWITCH_INTERVAL
 
 
@@ -95,3 +98,58 @@ def test_settling_keeps_the_collector_and_other_threads_out():
         sys.setswitchinterval(interval)
         gc.unfreeze()
         gc.enable()
+
+
+@pytest.fixture
+def handled():
+    """Have signals noted; return their numbers."""
+    found = []
+    earlier = {number: signal.signal(number, lambda n, _: found.append(n)) for number in ENDS}
+    yield found
+    for number, handler in earlier.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize('number', ENDS)
+@pytest.mark.parametrize('deliver', [True, False])
+def test_signals_are_held_back_and_the_first_one_acts_afterwards(handled, number, deliver):
+    with held_ends(deliver):
+        for _ in range(3):
+            with held_ends():       # within another one
+                os.kill(os.getpid(), number)
+            assert handled == []
+    assert handled == ([number] if deliver else [])
+    os.kill(os.getpid(), number)
+    assert handled[-1] == number
+
+
+def test_where_no_signal_can_interrupt_none_is_held_back():
+    def work():
+        with held_ends():
+            found.append(signal.getsignal(signal.SIGINT))
+
+    found = []
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == [signal.getsignal(signal.SIGINT)]
+
+
+@pytest.mark.parametrize('number', ENDS)
+def test_a_signal_is_a_reason_to_stop_and_a_second_one_an_interrupt(handled, number):
+    with stop_on_signals() as stopping:
+        os.kill(os.getpid(), number)
+        assert stopping.reason == number.name
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), number)
+    os.kill(os.getpid(), number)
+    assert handled == [number]
+
+
+def test_a_hangup_that_is_ignored_stays_so(handled):
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)        # as nohup arranges
+    with stop_on_signals() as stopping:
+        os.kill(os.getpid(), signal.SIGHUP)
+        assert stopping.reason == ''
+    assert signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
+    assert handled == []

@@ -21,7 +21,7 @@ import subprocess
 import sys
 from typing import Any
 
-from dz_ros.cli.driver.stop_requests import stop_on_estop
+from dz_ros.cli.driver.stop_requests import stop_on_requests
 from dz_ros.cli.operator import add_namespace
 from dz_ros.cli.output import print_json
 from dz_ros.cli.processes import check_rclpy, ParameterFiles, start_node, wait_or_kill
@@ -38,7 +38,6 @@ from dz_ros.files.configurations import (
     load_configuration,
     shipped_configurations,
 )
-from dz_ros.runtime.os_signals import Stopping
 
 FAILED = 1
 CONFIG = 'robust_eso'
@@ -70,7 +69,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--yes', action='store_true', help='do not ask before a device moves')
     parser.add_argument('--json', action='store_true', help='one JSON object a line and check')
     parser.add_argument('--axis', metavar='NAME',
-                        help='this axis alone, of a configuration of several')
+                        help='this axis of a configuration of several; the others of its device '
+                        'are enabled with it, at their safe command')
     add_namespace(parser)
 
 
@@ -100,6 +100,8 @@ def run(arguments: argparse.Namespace) -> int:
         hosted = beside_others(machine, arguments.axis)
         machine = machine.axis(arguments.axis)
         subjects = [_subject(arguments, '', machine, hosted)]
+        if hosted is not None:
+            print(hosted.note, file=sys.stderr if arguments.json else sys.stdout, flush=True)
     else:
         names = machine.axis_names or ('',)
         hosts = HostedDrivers(machine) if len(names) > 1 and not arguments.topics else None
@@ -175,8 +177,7 @@ def _all(arguments: argparse.Namespace, machine: Configuration,
                        _results(arguments, item)):
             yield replace(result, name=prefix + result.name)
     if len(subjects) > 1 and not arguments.topics:
-        stopping = Stopping()
-        with stop_on_estop(stopping, machine.driver_class.lockstep, arguments.namespace):
+        with stop_on_requests(machine.driver_class.lockstep, arguments.namespace) as stopping:
             for result in check_together(machine, [item.amplitude for item in subjects],
                                          lambda: stopping.reason):
                 yield replace(result, name=f'all axes: {result.name}')
@@ -228,13 +229,12 @@ def _results(arguments: argparse.Namespace, subject: Subject) -> Iterator[Result
     with ParameterFiles() as files:
         words = _words(arguments, c, files)
         opened = True
-        stopping = Stopping()
-        with stop_on_estop(stopping, c.driver_class.lockstep, arguments.namespace):
+        with stop_on_requests(c.driver_class.lockstep, arguments.namespace) as stopping:
             for result in check_contract(c, subject.amplitude, arguments.saturate,
                                          lambda: stopping.reason, subject.hosted):
                 opened &= result.name != 'opens' or result.passed is not False
                 yield result
-        if subject.hosted is not None and subject.hosted.driver.device_shared:
+        if subject.hosted is not None and subject.hosted.driver.device is not None:
             yield Result('as a node', None, 'not tried', 'as in docs/topics.md',
                          'its device is that of other axes too')
         elif find_spec('rclpy') is None:

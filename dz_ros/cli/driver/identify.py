@@ -124,7 +124,7 @@ def _moved(arguments: argparse.Namespace,
     limits, plan = build_limits(given_limits(arguments), c)
     experiment = Experiment(limits, plan, c.plant.order, c.loop.period, c.safety.safe_command)
     hosted = beside_others(machine, arguments.axis, all_faults=True)
-    ask(c, limits, plan, experiment.duration, arguments.yes, hosted.others if hosted else ())
+    ask(c, limits, plan, experiment.duration, arguments.yes, hosted)
     start_ns = time.time_ns()
     try:
         samples = move(c, experiment, arguments.namespace, hosted=hosted)

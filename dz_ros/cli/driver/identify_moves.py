@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 import signal
 import sys
 import time
@@ -12,6 +12,7 @@ from dz_ros.cli.driver.stop_requests import stop_on_estop
 from dz_ros.cli.progress import Progress
 from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.beside import Beside
+from dz_ros.drivers.hosted import NOT_LET_GO
 from dz_ros.errors import ConfigurationError, DriverError
 from dz_ros.identification.experiment.moves import Experiment
 from dz_ros.identification.experiment.plan import Limits, Plan
@@ -28,7 +29,7 @@ STOPPED_SAFELY = 'the device has had its safe command and is disabled'
 
 
 def ask(c: Configuration, limits: Limits, plan: Plan, duration: float, yes: bool,
-        others: Sequence[str] = ()) -> None:
+        hosted: Beside | None = None) -> None:
     """Print what is going to move, and ask whether it may.
 
     Args:
@@ -37,16 +38,15 @@ def ask(c: Configuration, limits: Limits, plan: Plan, duration: float, yes: bool
         plan: The moves.
         duration: Of all of it, at most [s].
         yes: Whether it may without asking.
-        others: Axes that are enabled beside this one.
+        hosted: What holds the driver beside those of other axes; None = it is alone.
 
     Raises:
         ConfigurationError: There is no terminal to ask at.
         DriverError: The answer is not yes.
     """
     print(motion_text(c, limits, f'{plan.repeats} times ramps and steps both ways', duration))
-    if others:
-        print(f'its device is that of {", ".join(others)} too: enabled with it, at the safe '
-              'command')
+    if hosted is not None:
+        print(hosted.note)
     if not yes:
         ask_at_terminal()
 
@@ -100,7 +100,7 @@ def move(c: Configuration, experiment: Experiment, namespace: str,
         hosted: What holds the driver beside those of other axes; None = it is alone.
 
     Raises:
-        DriverError: The device fails, or it was stopped: the safe command has been sent.
+        DriverError: The device fails, or it was stopped; what then went wrong is named.
         KeyboardInterrupt: It was stopped by Ctrl-C, in the same way.
     """
     lockstep = c.driver_class.lockstep
@@ -120,8 +120,9 @@ def move(c: Configuration, experiment: Experiment, namespace: str,
         try:
             samples = run_session(c, experiment, wait, stopped, hosted, kept)
         except StoppedError as stop:
-            if str(stop) == signal.SIGINT.name:
-                raise KeyboardInterrupt(STOPPED_SAFELY) from stop
+            if stop.reason == signal.SIGINT.name:
+                raise KeyboardInterrupt(f'{NOT_LET_GO}: {stop.failed}' if stop.failed else
+                                        STOPPED_SAFELY) from stop
             raise
         progress(experiment.plan.repeats, experiment.plan.repeats)
         return samples

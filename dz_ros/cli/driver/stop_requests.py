@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The e-stop for a verb that drives a device in its own process."""
+"""The e-stop, and signals, for a verb that drives a device in its own process."""
 
 from __future__ import annotations
 
@@ -7,17 +7,38 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
 import json
+import signal
 import threading
 import time
 
 from dz_ros.cli.operator import operator
 from dz_ros.errors import DriverError
-from dz_ros.runtime.os_signals import Stopping
+from dz_ros.runtime.os_signals import stop_on_signals, Stopping
 
 START_LIMIT = 20.0
 """The node that receives the e-stop must have started within this [s]."""
 POLL = 0.05
 """A reason to stop is noticed within this while the node starts [s]."""
+
+
+@contextmanager
+def stop_on_requests(lockstep: bool, namespace: str) -> Iterator[Stopping]:
+    """Yield why to stop: a signal that ends the program, or the e-stop as of `stop_on_estop`.
+
+    Raises:
+        DriverError: There is such a reason; or as of `stop_on_estop`.
+        KeyboardInterrupt: It is Ctrl-C.
+    """
+    with stop_on_signals() as stopping, stop_on_estop(stopping, lockstep, namespace):
+        try:
+            yield stopping
+            if stopping.reason:
+                raise DriverError(stopping.reason)
+        except DriverError as error:
+            if stopping.reason == signal.SIGINT.name:
+                raise KeyboardInterrupt(str(error).removeprefix(stopping.reason).lstrip('; ')
+                                        ) from error
+            raise
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.drivers.beside import Beside
 from dz_ros.drivers.conformance.machine import lateness, MachineWatch, overlap, RunQueue
 from dz_ros.drivers.conformance.result import Result
-from dz_ros.drivers.hosted import checked, error_text, HostedDriver
+from dz_ros.drivers.hosted import add_not_let_go, checked, error_text, HostedDriver
 from dz_ros.drivers.hosted_axes import HostedDrivers
 from dz_ros.errors import DriverError, DzRosError
 
@@ -75,7 +75,7 @@ class _Subject:
 
     def stop(self) -> str:
         """Disable and close it; return what went wrong."""
-        return str(self.hosted.disable(self.safe_command, self.t) or self.hosted.close())
+        return str(self.hosted.let_go(self.safe_command, self.t))
 
     def samples(self, count: int) -> Iterator[int]:
         """Yield at the loop's rate, at absolute deadlines; each sample is ended."""
@@ -135,23 +135,20 @@ def check_contract(configuration: Configuration, amplitude: float, saturate: boo
                        HostedDriver(configuration) if hosted is None else hosted)
     yield _guarded(subject, 'declaration', 'complete',
                    lambda: _declaration(subject, configuration))
-    try:
-        yield _guarded(subject, 'opens', 'a measurement', lambda: _opens(subject))
-        if not subject.hosted.enabled:
-            return
-        try:
-            with MachineWatch() as watch:
-                yield from _runs(subject, amplitude, watch)
-        except Exception as error:  # noqa: BLE001  a driver's code may raise anything
-            subject.check_stop()
-            yield Result('no fault', False, 'lost', 'none', _words(error))
-        yield _guarded(subject, 'safe command', 'held at once', lambda: _safe(subject, amplitude))
-        yield _guarded(subject, 'limit', 'kept', lambda: _limit(subject, saturate))
-        yield _guarded(subject, 'stop and reset', 'acts again', lambda: _reset(subject, amplitude))
-        yield _guarded(subject, 'restart', 'measures again', lambda: _restart(subject))
-        yield _guarded(subject, 'reconnect', 'measures again', lambda: _reconnect(subject))
-    finally:
-        subject.stop()
+    yield from _then_let_go(subject, _each_check(subject, amplitude, saturate))
+
+
+def _each_check(subject: _Subject, amplitude: float, saturate: bool) -> Iterator[Result]:
+    """Yield the results of an axis from its opening on."""
+    yield _guarded(subject, 'opens', 'a measurement', lambda: _opens(subject))
+    if not subject.hosted.enabled:
+        return
+    yield from _lasting_runs(subject, amplitude)
+    yield _guarded(subject, 'safe command', 'held at once', lambda: _safe(subject, amplitude))
+    yield _guarded(subject, 'limit', 'kept', lambda: _limit(subject, saturate))
+    yield _guarded(subject, 'stop and reset', 'acts again', lambda: _reset(subject, amplitude))
+    yield _guarded(subject, 'restart', 'measures again', lambda: _restart(subject))
+    yield _guarded(subject, 'reconnect', 'measures again', lambda: _reconnect(subject))
 
 
 def check_together(machine: Configuration, amplitudes: Sequence[float],
@@ -168,20 +165,47 @@ def check_together(machine: Configuration, amplitudes: Sequence[float],
         DriverError: As of `check_contract`.
     """
     subject = _Subject(machine, stopped, HostedDrivers(machine))
-    try:
-        opened = _guarded(subject, 'opens', 'a measurement', lambda: _opens(subject))
-        yield opened
-        if not opened.passed:
-            return
-        try:
-            with MachineWatch() as watch:
-                yield from _runs(subject, amplitudes, watch)
-        except Exception as error:  # noqa: BLE001  a driver's code may raise anything
-            subject.check_stop()
-            yield Result('no fault', False, 'lost', 'none', _words(error))
+    yield from _then_let_go(subject, _checks_together(subject, amplitudes))
+
+
+def _checks_together(subject: _Subject, amplitudes: Sequence[float]) -> Iterator[Result]:
+    """Yield the results of all axes at once."""
+    opened = _guarded(subject, 'opens', 'a measurement', lambda: _opens(subject))
+    yield opened
+    if opened.passed:
+        yield from _lasting_runs(subject, amplitudes)
         yield _guarded(subject, 'restart', 'measures again', lambda: _restart(subject))
+
+
+def _then_let_go(subject: _Subject, results: Iterator[Result]) -> Iterator[Result]:
+    """Yield results, then disable and close; what goes wrong with that is another one.
+
+    Raises:
+        DriverError: As of the results; what then went wrong is named.
+    """
+    failed = ''
+    try:
+        try:
+            yield from results
+        finally:
+            failed = subject.stop()
+    except (DzRosError, KeyboardInterrupt) as error:
+        add_not_let_go(error, failed)
+        raise
     finally:
-        subject.stop()
+        subject.stop()      # what an interrupt has left, which came before the first one
+    if failed:
+        yield Result('let go', False, 'failed', 'disabled and closed', failed)
+
+
+def _lasting_runs(subject: _Subject, amplitude: Any) -> Iterator[Result]:
+    """Yield the results of `_runs`, and what ends it."""
+    try:
+        with MachineWatch() as watch:
+            yield from _runs(subject, amplitude, watch)
+    except Exception as error:  # noqa: BLE001  a driver's code may raise anything
+        subject.check_stop()
+        yield Result('no fault', False, 'lost', 'none', _words(error))
 
 
 def _guarded(subject: _Subject, name: str, limit: str, check: Callable[[], Result]) -> Result:

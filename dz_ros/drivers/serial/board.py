@@ -161,6 +161,16 @@ class Board:
         if self.powered:
             self._give_power()
 
+    def resume(self) -> None:
+        """Take the device as it is now, give it power if it had it; its fault or e-stop lasts.
+
+        Raises:
+            DriverError: It is not there, takes no power, or its position is lost.
+        """
+        self._accept()
+        if self.powered and self._mode() not in (Mode.FAULT, Mode.ESTOP):
+            self._give_power()          # asks for no reset, whatever has come since
+
     # Each sample.
 
     def command(self, motor: int, request: Request, v: int, safe: int) -> None:

@@ -14,6 +14,8 @@ sample is of one state, a fault of one motor stops all and is reported by its ow
 A device that falls silent, repeats itself, restarts, is unplugged or does something else than
 it was asked (`state_monitor`) is a fault until the operator resets, also if it is back within a
 sample: it must not be given power again by a reconnection.
+
+Over 300 lines: the whole contract of a driver, of which the board has what all motors share.
 """
 
 from __future__ import annotations
@@ -108,9 +110,9 @@ class Serial(Driver):
             1.0 if self._info is None else self._info.command_scale)
 
     @property
-    def device_shared(self) -> bool:
-        """Whether the device has motors of other axes."""
-        return len(self._board.motors) > 1
+    def device(self) -> Board | None:
+        """The board, where it has motors of other axes."""
+        return self._board if len(self._board.motors) > 1 else None
 
     @property
     def measured(self) -> int:
@@ -234,6 +236,14 @@ class Serial(Driver):
             DriverError: It is not there, its fault lasts, or its position is lost.
         """
         self._ask(self._board.recover)
+
+    def resume(self) -> None:
+        """Take the device as it is now, give it power if it had it; trip and e-stop last.
+
+        Raises:
+            DriverError: It is not there, takes no power, or its position is lost.
+        """
+        self._ask(self._board.resume)
 
     def applied_command(self) -> float | None:
         """Return what the device holds, by its mode and the newest command it has taken."""

@@ -17,20 +17,29 @@ import numpy as np
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.safety.command_limiter import CommandLimiter
 from dz_ros.drivers.beside import Beside
-from dz_ros.drivers.hosted import HostedDriver
-from dz_ros.errors import DriverError
+from dz_ros.drivers.hosted import add_not_let_go, HostedDriver, NOT_LET_GO
+from dz_ros.errors import DriverError, DzRosError
 from dz_ros.identification.experiment.moves import Experiment, STALL
 from dz_ros.identification.samples import Samples
 
 LAST = 5
 """Number of samples at the end in which the safe command is given."""
 AFTER = 1.0
-"""A fault of the device within this after a stall of the machine is reset, and the move made again
-[s]."""
+"""A fault within this after a stall of the machine is left without an operator, but for a trip or
+an e-stop of the device and a fault of another axis, and the move made again [s]."""
 
 
 class StoppedError(DriverError):
-    """The experiment was stopped; the safe command has been sent."""
+    """The experiment was stopped.
+
+    Attributes:
+        reason: Why.
+        failed: What then went wrong; '' = the device has had its safe command and is disabled.
+    """
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        self.reason, self.failed = reason, ''
 
 
 def run_session(configuration: Configuration, experiment: Experiment,
@@ -49,7 +58,7 @@ def run_session(configuration: Configuration, experiment: Experiment,
 
     Raises:
         DriverError: The device fails, takes less than the experiment's effort, or does not do
-            what it would have to.
+            what it would have to, or cannot be disabled or closed afterwards.
         StoppedError: `stopped` gave a reason.
     """
     settings = configuration.safety
@@ -83,26 +92,36 @@ def _driven(configuration: Configuration, experiment: Experiment, driver: Hosted
             limiter: CommandLimiter, wait: Callable[[int], int], stopped: Callable[[], str],
             rows: Rows) -> None:
     """Open the driver, run the experiment, close the driver whatever happens."""
-    driver.open()
+    def let_go() -> str:
+        t = (rows[-1][0] if rows else 0) * configuration.loop.period
+        return driver.let_go(limiter.safe(t), t)
+
+    failed = ''
     try:
-        if experiment.limits.effort > driver.limit:     # known once it is open
-            raise DriverError(f'{driver.driver.name} takes |v| up to {driver.limit:g}, effort = '
-                              f'{experiment.limits.effort:g} is more')
-        driver.enable()
+        driver.open()
         try:
+            if experiment.limits.effort > driver.limit:     # known once it is open
+                raise DriverError(f'{driver.driver.name} takes |v| up to {driver.limit:g}, '
+                                  f'effort = {experiment.limits.effort:g} is more')
+            driver.enable()
             _loop(configuration, experiment, driver, limiter, wait, stopped, rows)
         finally:
-            last = rows[-1][0] if rows else 0
-            driver.disable(limiter.safe(last * configuration.loop.period),
-                           last * configuration.loop.period)
+            failed = let_go()
+    except (DzRosError, KeyboardInterrupt) as error:
+        add_not_let_go(error, failed)
+        if isinstance(error, StoppedError):
+            error.failed = failed
+        raise
     finally:
-        driver.close()
+        let_go()        # what an interrupt has left, which came before the first one
+    if failed:
+        raise DriverError(f'{NOT_LET_GO}: {failed}')
 
 
 def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver | Beside,
           limiter: CommandLimiter, wait: Callable[[int], int], stopped: Callable[[], str],
           rows: Rows) -> None:
-    """Run it; whatever ends it, the last thing the driver is given is the safe command."""
+    """Run it; whatever ends it, the caller then lets the device go, by the safe command first."""
     nothing = (math.nan,) * c.plant.order
     seq, over, stall = 0, 0, -math.inf
     x: tuple[float, ...] | None = None
@@ -121,7 +140,7 @@ def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver | Besid
                 raise StoppedError(reason)
             fault = driver.fault()
             if fault and t - stall <= AFTER:    # once for each stall
-                stall, x, fault = -math.inf, None, driver.recover()
+                stall, x, fault = -math.inf, None, driver.resume()
                 experiment.stalled(STALL)
                 limiter.safe(t)
             if fault:
@@ -138,7 +157,5 @@ def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver | Besid
                          experiment.kind))
             seq += 1
     finally:
-        given = limiter.safe(seq * c.loop.period)
-        driver.safe(given, seq * c.loop.period)
         if over < LAST and x is not None:       # the sample in which it was stopped
-            rows.append((seq, x, given, -1, 'rest'))
+            rows.append((seq, x, limiter.safe(seq * c.loop.period), -1, 'rest'))
