@@ -15,7 +15,7 @@ from typing import Any, TYPE_CHECKING
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.linear_loop import largest_beta, largest_gain
-from dz_ros.core.design.rules import derives_epsilon
+from dz_ros.core.design.rules import derives_epsilon, own_margin
 from dz_ros.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -75,8 +75,7 @@ def gain_keys(c: Configuration, gain: float, k_star: float | None = None) -> dic
     if hasattr(gains, 'layer_gain'):
         return {'controller.layer_gain': gain}
     if derives_epsilon(gains):
-        lead = design.lead if hasattr(gains, 'epsilon') else 0.0
-        keys = {'controller.margin': gains.margin * (gain + lead) / (design.gain + lead)}
+        keys = {'controller.margin': own_margin(c.law, gain)}
         if gain > getattr(gains, 'gain_cap', math.inf):
             keys['controller.gain_cap'] = gain
         return keys
