@@ -2,9 +2,9 @@
 """How steep the layer of proposed gains may be, by the rules of `dz check` (ours).
 
     K ≤ f K_max          K_max by the spectral radius of the loop's matrix, with the observer of
-                         an observed velocity, for a delay of 0, 1 and the configured one; for a
-                         device with a sample more than it is designed for, since how late a bus or
-                         a middleware is changes
+                         an observed velocity, for a delay of 0, 1 and the configured one
+    radius < 1           for these delays up to 1.05 times the largest b m; for a device also a
+                         sample later, since how late a bus or a middleware is changes
     ε ≥ 4 σ_s and so on  what `dz_ros.core.design.rules.layer_complaints` asks: chatter, observer,
                          guard
     k_d + k_2            the slope outside of the layer, calm by the same matrix
@@ -39,18 +39,25 @@ HALVINGS = 5
 
 def loop_delays(c: Configuration) -> tuple[int, ...]:
     """Return the delays for which a proposal must be calm [samples]; a device has one to spare."""
-    delay = c.loop.delay
-    spare = () if c.make_driver().lockstep else (max(delay, 1) + 1,)
-    return tuple(sorted({0, 1, delay, *spare}))
+    spare = () if c.make_driver().lockstep else (max(c.loop.delay, 1) + 1,)
+    return tuple(sorted({*_own_delays(c), *spare}))
+
+
+def _own_delays(c: Configuration) -> set[int]:
+    """Return the delays of which K keeps its margin [samples]."""
+    return {0, 1, c.loop.delay}
 
 
 def steepest_gain(c: Configuration) -> float:
-    """Return the largest K without chatter, the observer in the loop where there is one."""
+    """Return the largest K without chatter, the observer in the loop where there is one.
+
+    For a delay of 0, 1 and the configured one; a sample to spare is to be calm, no more.
+    """
     known, measured = c.controller_settings, c.make_driver().measured
     beta = known.b_bounds[1] * known.m_bounds[1]
     return min(largest_gain(c.law.layer_model, c.loop.period, beta, delay,
                             lambda gain: linear_observer(c, measured, gain))
-               for delay in loop_delays(c))
+               for delay in _own_delays(c))
 
 
 def is_calm(c: Configuration) -> bool:
