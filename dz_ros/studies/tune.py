@@ -82,7 +82,7 @@ FOLLOW_GAIN = ('layer_gain', 'lambda', 'start_rate', 'observer_rate', 'k_2')
 SLOWER_OBSERVERS = (1.0, 0.67, 0.42)
 """Shares of ω_o that are tried where no K0 keeps the rules."""
 ROOM_OF_LAMBDA = 1.25
-"""Multiple of λ up to which its limit is looked for; `check` warns of one nearer."""
+"""Multiple of λ up to which its limit is searched; `check` warns of one nearer."""
 SLOT, NOISE = 0.3, 0.1
 """ρ0 over k*; σ of v over k* from which on a set is the quiet one."""
 STEPS = (4.0, 2.83, 2.0, 1.41, 1.0, 0.71, 0.5, 0.35, 0.25, 0.18, 0.125)
