@@ -192,12 +192,19 @@ def main() -> int:
 
 
 def read(path: Path) -> dict[Key, list[list[float]]]:
-    """Return the finished chunks of a file; none where there is no file."""
+    """Return the finished chunks of a file; none where there is no file.
+
+    Raises:
+        SystemExit: The rows are not those of `measure`, as in files of before.
+    """
     if not path.exists():
         return {}
     found = {}
     for line in path.read_text(encoding='utf-8').splitlines():
         (law, delay, noise, chunk), rows = json.loads(line)
+        if any(len(row) != len(LOST) for row in rows):
+            raise SystemExit(f'{path}: rows of {len(rows[0])} numbers where {len(LOST)} are '
+                             'measured; it is of another version, choose another file')
         found[law, delay, noise, chunk] = rows
     return found
 
@@ -270,7 +277,11 @@ def write(lines: list[str], count: int, duration: float) -> None:
             'beside the noise in v is not seen by this measure, and a calm loop near its limit '
             'that amplifies the noise counts as explained. A plant that chatters without noise '
             'may be calm with it: without noise the oscillation stays inside the layer, where the '
-            'guard does not see it; noise carries it to |s| = ε, and the guard lowers the gain.',
+            'guard does not see it; noise carries it to |s| = ε, and the guard lowers the gain. '
+            'More plants chatter without noise than were not calm: the loops of the others are '
+            'calm near their limit, where an oscillation that a crossing of the dead-zone sets '
+            'off takes many samples to fade. Of the first 300 plants all of these had a spectral '
+            'radius above 0.96, most above 0.98, with one and with two samples of delay.',
             '',
             'The controllers have the bounds that are drawn from. No law of these computes with '
             'those of b: gains are the shipped ones, which are made for b m up to '

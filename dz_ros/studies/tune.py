@@ -20,9 +20,9 @@
           found by simulation; at most the configured λ times 4
 
 The gains of `robust_eso` follow its own rules (`dz_ros.core.laws.robust_eso_gains`), those for an
-encoder where the velocity is not measured, with a sample of delay to spare where the actuator is
-a device; K0 and all that follows it are lowered, then ω_o, until the same rules are kept; its
-start is slowed down until it keeps the effort. Where no K0 keeps them the proposal is the steepest
+encoder where the velocity is not measured; K0 and all that follows it are lowered, then ω_o, until
+the same rules are kept, with a sample of delay to spare where the actuator is a device; its start
+is slowed down until it keeps the effort. Where no K0 keeps them the proposal is the steepest
 one, with what `dz check` warns of.
 c gives the order of the paper's gains on the paper's example. a_i are those of the plant's model:
 where they are guesses, widen θ's bounds. Nothing here is optimal; it is safe to start from.
@@ -40,7 +40,12 @@ from dz_ros.core.design.along_reference import disturbance_along_reference
 from dz_ros.core.design.boundary_layer import chatter_limit
 from dz_ros.core.design.command_steps import COMMAND_STEPS
 from dz_ros.core.design.finding import Finding, INFO
-from dz_ros.core.design.observation import measured_steps, sensor_noise, state_noise
+from dz_ros.core.design.observation import (
+    linear_observer,
+    measured_steps,
+    sensor_noise,
+    state_noise,
+)
 from dz_ros.core.design.robust_gain import (
     dead_zone_bound,
     least_robust_gain,
@@ -54,7 +59,6 @@ from dz_ros.core.laws.robust_eso_gains import (
     gains_for_encoder,
     OBSERVER_RATE,
     QUIET_SHARE,
-    share_with_spare_sample,
 )
 from dz_ros.core.laws.robust_eso_gains import (
     SHARE as ESO_SHARE,
@@ -62,7 +66,7 @@ from dz_ros.core.laws.robust_eso_gains import (
 from dz_ros.core.schema import fields
 from dz_ros.errors import ConfigurationError
 from dz_ros.studies.outcome import Row, run_row
-from dz_ros.studies.tune_layer import MARGIN, settled, suits, with_layer
+from dz_ros.studies.tune_layer import loop_delays, MARGIN, settled, suits, with_layer
 
 ADAPTATION = 1.0 / 80.0
 """c of γ and η."""
@@ -77,6 +81,8 @@ FOLLOW_GAIN = ('layer_gain', 'lambda', 'start_rate', 'observer_rate', 'k_2')
 """Gains of `robust_eso` that are shares of K0."""
 SLOWER_OBSERVERS = (1.0, 0.67, 0.42)
 """Shares of ω_o that are tried where no K0 keeps the rules."""
+ROOM_OF_LAMBDA = 1.25
+"""Multiple of λ up to which its limit is searched; `check` warns of one nearer."""
 SLOT, NOISE = 0.3, 0.1
 """ρ0 over k*; σ of v over k* from which on a set is the quiet one."""
 STEPS = (4.0, 2.83, 2.0, 1.41, 1.0, 0.71, 0.5, 0.35, 0.25, 0.18, 0.125)
@@ -134,8 +140,11 @@ def tune(c: Configuration, effort: float = 0.0, disturbance: float | None = None
     tuned, why = _with_lambda(c, changes, effort)
     reasons['controller.lambda'] = why
     flat = tuned.to_flat()
+    if flat.get('controller.k_2') == 0.0 and changes.get('controller.k_2'):
+        reasons['controller.k_2'] = (f'0: lambda is not below {STEEP:g} and regressors hang on '
+                                     'velocities')
     for key in LOWERED:
-        if key in changes and key != 'controller.epsilon' and flat[key] < changes[key]:
+        if key in changes and 0.0 < flat[key] < changes[key]:
             reasons[key] += f'; lowered from {changes[key]:.4g} by the rules on the layer'
     return _proposal(c, tuned, reasons)
 
@@ -147,8 +156,13 @@ def _proposal(c: Configuration, tuned: Configuration, reasons: dict[str, str]) -
         delay = {'loop.delay': c.loop.delay + extra}
         for name, item in (('before', c), ('after', tuned)):
             rows[f'{name}, delay {c.loop.delay + extra}'] = run_row(item.replace(**delay))
-    findings = tuple(item for item in check(tuned, complaints=True)
-                     if item.level != INFO or item.rule == COMMAND_STEPS)
+    # Up to what `check` warns of: two runs where it does not.
+    limit = lambda_limit(tuned, highest=ROOM_OF_LAMBDA * float(tuned.law.gains.lambda_))
+    measured = tuned.make_driver().measured
+    unjudged = measured < tuned.plant.order and linear_observer(tuned, measured) is None
+    kept = (COMMAND_STEPS, 'observer') if unjudged else (COMMAND_STEPS,)
+    findings = tuple(item for item in check(tuned, stability_limit=limit, complaints=True)
+                     if item.level != INFO or item.rule in kept)
     return Proposal(c, tuned, reasons, rows, findings)
 
 
@@ -193,7 +207,7 @@ def _from_rules(c: Configuration, design: Design, delta: float) -> dict[str, tup
         'theta_min': ([item[0] for item in theta], 'least a_i/(b m), a fifth less'),
         'theta_max': ([item[1] for item in theta], 'largest a_i/(b m), a fifth more'),
         'rho_0': (k_star - dead, 'what k* has beyond rho/m_min'),
-        'k_2': (2.0 * k_d, '2 k_d; 0 from λ = 8 on where regressors hang on velocities'),
+        'k_2': (2.0 * k_d, '2 k_d'),
         'v_max': (c.plant_settings.command_limit or getattr(gains, 'v_max', 0.0),
                   "the actuator's limit, 0 = none"),
         'epsilon': (0.0, f'at most {MARGIN:g} of the slope at which the loop chatters at delay '
@@ -217,29 +231,21 @@ def _with_observer(c: Configuration, design: Design, delta: float,
     theta = [a * middle for a in c.plant.a]
     common = (period, known.b_bounds, known.m_bounds, k_star, c.law.gains.k_d, theta, middle,
               delay)
-    first = {'k_star': k_star, 'theta_0': theta, 'phi_0': middle}
-    most = ESO_SHARE
-    if not driver.lockstep:
-        most = share_with_spare_sample(lambda share: c.replace(**{
-            f'controller.{key}': item for key, item in
-            {**first, **gains_by_rule(*common, most=share)}.items()
-        }).law.layer_model(), period, high, delay)
-    gains = gains_by_rule(*common, most=most)
+    gains = gains_by_rule(*common)
     noise = gains['layer_gain'] * state_noise(c, measured_steps(driver))[-1]
     quiet = noise > NOISE * k_star
     if quiet:
-        gains = gains_by_rule(*common, quiet=True, most=most)
-    gains |= first
+        gains = gains_by_rule(*common, quiet=True)
+    gains |= {'k_star': k_star, 'theta_0': theta, 'phi_0': middle}
     limit = c.plant_settings.command_limit
     if limit > 0.0:
         gains |= {'v_max': limit}
     by_rule = 'by rule from K0, k* and the bounds'
     reasons = dict.fromkeys(gains, by_rule) | {
         'k_star': f'rho/m_min{steps}, {delta:.4g} of disturbance and rho_0 = {SLOT:g} k*',
-        'layer_gain': f'{min(most, QUIET_SHARE) if quiet else most:.3g} of the chatter limit at '
-                      f'delay {delay}' + (
-                          f', quiet: noise would put {noise:.3g} into v' if quiet else
-                          f', calm at delay {delay + 1} too' if most < ESO_SHARE else ''),
+        'layer_gain': f'{QUIET_SHARE if quiet else ESO_SHARE:.3g} of the chatter limit at delay '
+                      f'{delay}' + (
+                          f', quiet: noise would put {noise:.3g} into v' if quiet else ''),
         'design_delay': 'the loop takes up to this many samples',
         'lambda': 'K0 b_hat/7' if quiet else 'K0 b_hat/6', 'start_rate': 'lambda/5',
         'observer_rate': '0.83 K0 b_hat', 'k_2': '2 K0/3',
@@ -249,7 +255,7 @@ def _with_observer(c: Configuration, design: Design, delta: float,
         sigma = sensor_noise(c, driver.resolution)
         gains |= gains_for_encoder(period, sigma, high, gains['input_gain'], k_star, delay)
         gains['k_d'] = min(gains['k_d'], gains['layer_gain'] / 6.0)
-        for key in ('layer_gain', 'lambda', 'start_rate', 'observer_rate', 'k_2'):
+        for key in FOLLOW_GAIN:
             reasons[key] = f'the velocity is observed, from noise of {sigma:.3g}'
     changes, by_sensor = {f'controller.{key}': item for key, item in gains.items()}, dict(gains)
     if driver.measured < c.plant.order:
@@ -259,6 +265,8 @@ def _with_observer(c: Configuration, design: Design, delta: float,
     for key in FOLLOW_GAIN:
         if gains[key] < by_sensor[key]:
             reasons[key] += f'; lowered from {by_sensor[key]:.4g} by the rules on the layer'
+            if key == 'layer_gain' and not driver.lockstep:
+                reasons[key] += f', calm at delay {loop_delays(c)[-1]} too'
     if driver.measured < c.plant.order:
         rate = OBSERVER_RATE * gains['layer_gain'] * gains['input_gain']
         reasons['driver.observer'] = f'0 = by rule, {rate:.4g} rad/s'

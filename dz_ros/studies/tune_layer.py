@@ -3,6 +3,8 @@
 
     K ≤ f K_max          K_max by the spectral radius of the loop's matrix, with the observer of
                          an observed velocity, for a delay of 0, 1 and the configured one
+    radius < 1           for these delays up to 1.05 times the largest b m; for a device also a
+                         sample later, since how late a bus or a middleware is changes
     ε ≥ 4 σ_s and so on  what `dz_ros.core.design.rules.layer_complaints` asks: chatter, observer,
                          guard
     k_d + k_2            the slope outside of the layer, calm by the same matrix
@@ -16,10 +18,9 @@ from collections.abc import Callable
 from typing import Any
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.design.boundary_layer import chatter_limit
 from dz_ros.core.design.linear_loop import largest_gain, spectral_radius, surface_model
 from dz_ros.core.design.observation import linear_observer
-from dz_ros.core.design.rules import layer_complaints
+from dz_ros.core.design.rules import layer_complaints, own_gain, own_margin
 from dz_ros.core.tracking import feed_forward_weights
 from dz_ros.errors import ConfigurationError
 
@@ -37,17 +38,26 @@ HALVINGS = 5
 
 
 def loop_delays(c: Configuration) -> tuple[int, ...]:
-    """Return the delays for which a proposal must be calm [samples]."""
-    return tuple(sorted({0, 1, c.loop.delay}))
+    """Return the delays for which a proposal must be calm [samples]; a device has one to spare."""
+    spare = () if c.make_driver().lockstep else (max(c.loop.delay, 1) + 1,)
+    return tuple(sorted({*_own_delays(c), *spare}))
+
+
+def _own_delays(c: Configuration) -> set[int]:
+    """Return the delays of which K keeps its margin [samples]."""
+    return {0, 1, c.loop.delay}
 
 
 def steepest_gain(c: Configuration) -> float:
-    """Return the largest K without chatter, the observer in the loop where there is one."""
+    """Return the largest K without chatter, the observer in the loop where there is one.
+
+    For a delay of 0, 1 and the configured one; a sample to spare is to be calm, no more.
+    """
     known, measured = c.controller_settings, c.make_driver().measured
     beta = known.b_bounds[1] * known.m_bounds[1]
     return min(largest_gain(c.law.layer_model, c.loop.period, beta, delay,
                             lambda gain: linear_observer(c, measured, gain))
-               for delay in loop_delays(c))
+               for delay in _own_delays(c))
 
 
 def is_calm(c: Configuration) -> bool:
@@ -123,11 +133,18 @@ def with_layer(c: Configuration, values: dict[str, Any]) -> Configuration:
     given = c.replace(**{key: item for key, item in values.items()
                          if key != 'controller.epsilon'})
     if own == ['controller.margin']:
-        gains = given.law.gains
-        limit = chatter_limit(gains.design_delay) / (gains.beta * c.loop.period)
-        margin = min(gains.margin, OWN_MARGIN * steepest_gain(given) / limit)
-        return settled(lambda share: c.replace(**_slower(values, share * margin * limit),
-                                               **{'controller.margin': share * margin}))
+        law = given.law
+        whole = own_gain(law)
+        steepest = min(whole, OWN_MARGIN * steepest_gain(given))
+        if steepest <= 0.0:
+            raise _no_layer(given)
+
+        def steep(share: float) -> Configuration:
+            gain = share * steepest
+            margin = law.gains.margin if gain >= whole else own_margin(law, gain)
+            return c.replace(**_slower(values, gain), **{'controller.margin': margin})
+
+        return settled(steep)
     lead = feed_forward_weights(given.law.gains.lambda_, c.plant.order)[-1] * values[
         'controller.phi_0']
     steepest = MARGIN * (lead + steepest_gain(given))
@@ -136,11 +153,16 @@ def with_layer(c: Configuration, values: dict[str, Any]) -> Configuration:
         lower = _slower(values, share * steepest)
         room = share * steepest - lower['controller.k_d'] - lead
         if room <= 0.0:
-            raise ConfigurationError('controller.lambda', given.law.gains.lambda_,
-                                     f'no layer is wide enough at {c.loop.rate:g} Hz')
+            raise _no_layer(given)
         return c.replace(**{**lower, 'controller.epsilon': values['controller.k_star'] / room})
 
     return settled(wide)
+
+
+def _no_layer(c: Configuration) -> ConfigurationError:
+    """Return the error of a slope at which no layer is wide enough."""
+    return ConfigurationError('controller.lambda', c.law.gains.lambda_,
+                              f'no layer is wide enough at {c.loop.rate:g} Hz')
 
 
 def _slower(values: dict[str, Any], gain: float) -> dict[str, Any]:

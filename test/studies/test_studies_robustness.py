@@ -98,3 +98,13 @@ def within_bounds(c):
                                (c.dead_zone.b_r, known.b_r_bounds),
                                (c.dead_zone.b_l, known.b_l_bounds)):
         assert low <= value <= high
+
+
+def test_a_state_file_of_another_version_is_refused_by_name(robustness, tmp_path):
+    path = tmp_path / 'state.jsonl'
+    path.write_text('[["robust", 0, false, 0], [[0.1, 0.2, 0.3]]]\n', encoding='utf-8')
+    with pytest.raises(SystemExit, match='rows of 3 numbers') as caught:
+        robustness.read(path)
+    assert str(path) in str(caught.value)
+    path.write_text('[["robust", 0, false, 0], [[0.1, 0.2, 0.3, 0.0, 0.0]]]\n', encoding='utf-8')
+    assert robustness.read(path) == {('robust', 0, False, 0): [[0.1, 0.2, 0.3, 0.0, 0.0]]}

@@ -10,9 +10,16 @@ from dz_ros.core.design.linear_loop import spectral_radius
 from dz_ros.core.design.observation import linear_observer, measured_steps
 from dz_ros.core.design.rules import check
 from dz_ros.core.loop.offline import simulate
+from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import load_configuration
 from dz_ros.studies.tune import tune
-from dz_ros.studies.tune_layer import settled, steepest_gain, suits
+from dz_ros.studies.tune_layer import (
+    loop_delays,
+    settled,
+    steepest_gain,
+    suits,
+    with_layer,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -61,7 +68,7 @@ def test_from_positions_alone_a_proposal_is_calm_by_check_matrix_and_simulation(
     assert driver.measured == 1
     key = ENCODERS[name].partition('=')[0]
     for b, m in zip(known.b_bounds, known.m_bounds, strict=True):
-        for late in (0, 1):
+        for late in (0, 1, 2):      # a device has a sample to spare
             assert spectral_radius(found.law.layer_model(), c.loop.period, b * m, late,
                                    linear_observer(found, 1)) < 1.0
         # as calm as the same gains are with a measured velocity
@@ -82,9 +89,17 @@ def test_wide_bounds_of_the_input_gain_lower_the_gain(law):
     assert found.law.design.gain < narrow.law.design.gain
 
 
+@pytest.mark.parametrize(('name', 'delay', 'delays'), [
+    ('servo', 0, (0, 1)), ('servo', 3, (0, 1, 3)), ('joint', 0, (0, 1, 2)),
+    ('joint', 1, (0, 1, 2)), ('joint', 3, (0, 1, 3, 4))])
+def test_a_device_has_a_sample_to_spare(name, delay, delays):
+    assert loop_delays(load_configuration(name, [f'loop.delay={delay}'])) == delays
+
+
 def test_the_limit_of_k_is_where_a_simulated_loop_begins_to_chatter():
-    c = at_slope(encoder('joint', 'controller.law=wang2004', 'loop.delay=1',
-                         'loop.duration=16'), 1.1, 1.25)
+    c = at_slope(load_configuration('servo', [
+        'controller.law=wang2004', 'driver.measured=1', 'loop.delay=1', 'loop.duration=16']),
+        1.1, 1.25)
     limit = steepest_gain(c)
     measured = steepest_gain(c.replace(**{'driver.measured': 2}))
     assert limit < 0.7 * measured       # the observer costs that much
@@ -119,8 +134,39 @@ def test_measured_noise_is_kept_out_of_the_guard_too():
     assert found.after.law.design.epsilon >= LEAST * 0.02
 
 
+@pytest.mark.parametrize(('overrides', 'capped'), [
+    (('controller.gain_cap=40',), True), (('controller.gain_cap=120',), False)])
+def test_a_cap_on_k_is_where_the_layer_begins(overrides, capped):
+    """What is lowered is the K the law has, not one that its cap keeps away."""
+    c = load_configuration('robust', [*overrides, 'controller.margin=0.9', 'controller.k_d=5'])
+    found = with_layer(c, {'controller.margin': 0.9})
+    assert suits(found)
+    if capped:      # calm as it is
+        assert found.law.gains.margin == 0.9
+        assert found.law.design.gain == 40.0
+    else:
+        assert found.law.gains.margin < 0.9
+        assert found.law.design.gain > 40.0
+
+
+def test_no_k_is_calm_names_the_slope():
+    c = load_configuration('robust', ['controller.lambda=300', 'controller.k_d=1'])
+    assert steepest_gain(c) == 0.0
+    with pytest.raises(ConfigurationError, match='no layer is wide enough') as caught:
+        with_layer(c, {'controller.margin': 0.4})
+    assert caught.value.key == 'controller.lambda'
+
+
+def test_an_observer_that_no_rule_judges_is_named():
+    found = tune(encoder('joint', 'driver.observer_kind=levant', 'driver.observer=60'))
+    words = [item.words for item in found.findings if item.rule == 'observer']
+    assert len(words) == 1
+    assert 'no rule shows' in words[0]
+
+
 def test_share_found_is_the_largest_that_suits():
-    c = encoder('joint', 'loop.delay=1')
+    c = encoder('joint', 'controller.law=robust', 'controller.k_2=8',
+                'controller.k_d=4', 'controller.lambda=4', 'loop.delay=1')
 
     def made(share):
         return c.replace(**{'controller.margin': 0.9 * share})
@@ -130,6 +176,6 @@ def test_share_found_is_the_largest_that_suits():
     assert suits(c.replace(**{'controller.margin': found}))
     assert not suits(c.replace(**{'controller.margin': 1.01 * found}))
     # none suits: the steepest is kept, with its complaints
-    hopeless = encoder('joint', 'driver.observer=2')
+    hopeless = encoder('joint', 'controller.law=robust', 'driver.observer=2')
     assert settled(lambda share: hopeless.replace(**{
         'controller.margin': 0.5 * share})).law.gains.margin == 0.5

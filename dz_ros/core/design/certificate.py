@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.design.certified_gain import which_gain
+from dz_ros.core.design.certified_gain import which_gain, WIDER, wider_layer
 from dz_ros.core.design.intervals import (
     Jet,
     join,
@@ -518,16 +518,14 @@ def _inequalities(c: Configuration, loop: _Delay, s_bound: float, slot: float,
     design, failed, change = loop.design, [], []
     if s_bound > design.epsilon:
         failed.append(f'|s| <= {s_bound:.4g} is not within ε = {design.epsilon:.4g}')
-        slope = design.k / design.epsilon
-        needed = 1.02 * slope * s_bound
-        change.append(f'controller.{"k_star" if hasattr(c.law.gains, "k_star") else "k"} = '
-                      f'{needed:.4g}' + (f' with controller.epsilon = {1.02 * s_bound:.4g}'
-                                         if hasattr(c.law.gains, 'epsilon') else '')
-                      + ': the same K in a layer wide enough')
+        wider = wider_layer(c, s_bound)
+        if wider:
+            change.append(' with '.join(f'{key} = {value:.4g}' for key, value in wider.items())
+                          + ': the same K in a layer wide enough')
     if len(loop.model.c) and slot > design.inner_reserve > 0.0:
         failed.append(f'the slot <= {slot:.4g} is not within its authority rho_1 = '
                       f'{design.inner_reserve:.4g}')
-        change.append(f'controller.rho_1 = {1.02 * slot:.4g}')
+        change.append(f'controller.rho_1 = {WIDER * slot:.4g}')
     limits = [item for item in (c.plant_settings.command_limit,
                                 getattr(c.law.gains, 'v_max', 0.0)) if item > 0.0]
     if limits and command > min(limits):

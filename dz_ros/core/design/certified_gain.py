@@ -4,7 +4,7 @@
 K is varied around the configured one, nearest first; around 0.6 of where the loop chatters if the
 configured one is beyond that. Each is tried on a few cells of β and a part
 of the reference, with k* raised where |s| leaves ε, and what holds there is certified in full: a
-value that is named has its certificate.
+value that is named has its certificate, at one delay: others may need another value.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, TYPE_CHECKING
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.linear_loop import largest_beta, largest_gain
-from dz_ros.core.design.rules import derives_epsilon
+from dz_ros.core.design.rules import derives_epsilon, own_margin
 from dz_ros.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ CALM = 0.6
 """Share of the chatter limit that is tried first where K is beyond it."""
 SHARES = (1.0, 0.8, 1.25, 0.6, 1.6, 0.45, 2.0, 0.33, 0.25)
 """Multiples of that K which are tried, in this order."""
-WIDER = 1.05
+WIDER = 1.02
 """ε over the bound on |s| where k* is raised."""
 
 
@@ -50,49 +50,59 @@ def which_gain(c: Configuration, delay: int,
             found = None if tried is None else bounds_of(tried, False)
             if tried is None or found is None or found.certified:
                 break
-            wider = _wider(tried, found)
-            if not wider:
+            if not found.epsilon < found.s_bound < math.inf:
                 break
-            changes = {**changes, **_rounded(wider)}
+            changes = {**changes, **_rounded(wider_layer(tried, found.s_bound))}
         if tried is None or found is None or not found.certified:
             continue
-        if bounds_of(tried, True).certified:
+        shown = bounds_of(tried, True)
+        if shown.certified:
             return (' with '.join(f'{key} = {value:.4g}' for key, value in changes.items())
-                    + f': K = {gain:.4g} instead of {design.gain:.4g}, certified so')
+                    + f': K = {gain:.4g} instead of {design.gain:.4g}, certified so at delay '
+                    f'{delay}' + _bound(c, shown))
     if not gains:
         return 'no K is calm: raise loop.rate'
-    return (f'of K from {min(gains):.3g} to {max(gains):.3g} none was found that is certified, '
-            'with a larger k* neither: narrow the bounds, or raise loop.rate')
+    return (f'none of {len(gains)} values of K from {min(gains):.3g} to {max(gains):.3g} was '
+            'certified, with a larger k* neither: narrow the bounds, or raise loop.rate')
 
 
-def gain_keys(c: Configuration, gain: float, k_star: float | None = None) -> dict[str, Any]:
-    """Return the keys that give the law this K in its layer, and their values.
+def _bound(c: Configuration, shown: DelayBounds) -> str:
+    """Return the bound on the error as text."""
+    if not shown.error_bound:
+        return ''
+    unit = c.plant.state_units[0]
+    return f', |x̃1| <= {shown.error_bound[0]:.3g}' + ('' if unit == '1' else f' {unit}')
 
-    `k_star`: k* to go with it; None = the configured one.
-    """
+
+def gain_keys(c: Configuration, gain: float) -> dict[str, Any]:
+    """Return the keys that give the law this K in its layer, and their values."""
     gains, design = c.law.gains, c.law.design
     assert design is not None
     if hasattr(gains, 'layer_gain'):
         return {'controller.layer_gain': gain}
     if derives_epsilon(gains):
-        lead = design.lead if hasattr(gains, 'epsilon') else 0.0
-        keys = {'controller.margin': gains.margin * (gain + lead) / (design.gain + lead)}
+        keys = {'controller.margin': own_margin(c.law, gain)}
         if gain > getattr(gains, 'gain_cap', math.inf):
             keys['controller.gain_cap'] = gain
         return keys
     if not hasattr(gains, 'epsilon') or gain <= design.k_d:
         return {}
-    return {'controller.epsilon': (k_star or design.k) / (gain - design.k_d)}
+    return {'controller.epsilon': design.k / (gain - design.k_d)}
 
 
-def _wider(c: Configuration, found: DelayBounds) -> dict[str, Any]:
-    """Return k* for a layer of the same K that holds the bound on |s|; nothing without a bound."""
+def wider_layer(c: Configuration, s_bound: float) -> dict[str, Any]:
+    """Return the keys of a layer of the same K in which a bound on |s| has room, and their values.
+
+    They are none of a law without a k* of its own.
+    """
     design, gains = c.law.design, c.law.gains
     key = next((name for name in ('k_star', 'k') if hasattr(gains, name)), None)
-    if design is None or key is None or not design.epsilon < found.s_bound < math.inf:
+    if design is None or key is None:
         return {}
-    needed = design.k * WIDER * found.s_bound / design.epsilon
-    return {**gain_keys(c, design.gain, needed), f'controller.{key}': needed}
+    keys = {f'controller.{key}': design.k / design.epsilon * WIDER * s_bound}
+    if hasattr(gains, 'epsilon') and not derives_epsilon(gains):
+        keys['controller.epsilon'] = WIDER * s_bound
+    return keys
 
 
 def _rounded(changes: dict[str, Any]) -> dict[str, Any]:

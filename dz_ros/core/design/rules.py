@@ -37,7 +37,7 @@ from dz_ros.core.design.observation import (
     state_noise,
 )
 from dz_ros.core.design.robust_gain import RobustGain
-from dz_ros.core.laws.base import Design
+from dz_ros.core.laws.base import Design, Law
 from dz_ros.core.tracking import guaranteed_bounds
 
 DELAYS = (0, 1, 2)
@@ -165,7 +165,7 @@ def _chatter(c: Configuration, design: Design, complaints: bool,
             smallest = (design.k / (steepest - k_d)
                         if steepest > max(k_d, design.least_gain) else math.inf)
             numbers['smallest_epsilon'] = smallest
-            margin = _largest_margin(c, design, steepest)
+            margin = own_margin(law, steepest) if derives_epsilon(law.gains) else None
             if math.isfinite(smallest):
                 words += f'; smallest usable ε {smallest:.3g} with K = {steepest:.4g}'
                 if margin is not None:
@@ -189,15 +189,29 @@ def derives_epsilon(gains: Any) -> bool:
             and all(hasattr(gains, key) for key in ('margin', 'beta', 'design_delay')))
 
 
-def _largest_margin(c: Configuration, design: Design, steepest: float) -> float | None:
-    """Return the f with which a law that makes its own ε arrives at this K; None = it does not."""
-    gains = c.law.gains
-    if not derives_epsilon(gains):
-        return None
-    # K0 = f μ_d/(β T), in `extended` with the lead as a part of it.
-    lead = design.lead if hasattr(gains, 'epsilon') else 0.0
-    limit = chatter_limit(gains.design_delay) / (gains.beta * c.loop.period)
-    return float((steepest + lead) / limit)
+def own_margin(law: Law, gain: float) -> float:
+    """Return the f with which a law that makes its own ε arrives at this K: its inverse.
+
+    f = (K + lead) β T/μ_d, by `derives_epsilon` of its gains. Its bounds on K stay: a K beyond
+    `gain_cap` or below its least is reached by no f.
+    """
+    return (gain + _own_lead(law)) / _own_limit(law)
+
+
+def own_gain(law: Law) -> float:
+    """Return the K at which a law that makes its own ε arrives, `gain_cap` kept, not its least."""
+    gain = law.gains.margin * _own_limit(law) - _own_lead(law)
+    return float(min(gain, getattr(law.gains, 'gain_cap', math.inf)))
+
+
+def _own_lead(law: Law) -> float:
+    """Return φ̂ Λ_v,n where it is a part of K0, in `extended` [actuator unit per unit of s]."""
+    return law.design.lead if law.design is not None and hasattr(law.gains, 'epsilon') else 0.0
+
+
+def _own_limit(law: Law) -> float:
+    """Return μ_d/(β T) of a law's own gains [actuator unit per unit of s]."""
+    return float(chatter_limit(law.gains.design_delay) / (law.gains.beta * law.period))
 
 
 def _calmer(c: Configuration, delay: int, numbers: Mapping[str, float]) -> str:

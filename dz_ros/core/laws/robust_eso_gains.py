@@ -10,9 +10,6 @@
 λ is the same for every order n. k* is not among them: it follows from (18), ρ0 and the stated
 disturbance. The quiet set takes about as much effort under measurement noise as `robust`.
 
-For a device f is at most what leaves the loop calm with a sample more than d, at 1.05 β
-(`share_with_spare_sample`): how late a bus or a middleware is changes.
-
 Where the velocity is observed from positions with noise σ (one step q of an encoder: q/√12):
 
     ω = 3 K0 b̂,  λ = K0 b̂/7,  ω_o = 0.6 K0 b̂,  k_2 = 0.66 K0
@@ -23,19 +20,16 @@ Where the velocity is observed from positions with noise σ (one step q of an en
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 import math
 from typing import Any
 
 from dz_ros.core.design.boundary_layer import chatter_limit
-from dz_ros.core.design.linear_loop import largest_beta, LayerModel
 from dz_ros.core.observers.base import noise_gain
 from dz_ros.core.observers.tracking import Tracking
 
 SHARE, QUIET_SHARE = 0.375, 0.26
 """f: share of the chatter limit that K0 uses."""
-SPARE = 1.05
-"""Of a device's β, where the loop is to be calm with a sample more than d."""
 
 ENCODER_SHARE, OBSERVER_RATE = 0.3, 3.0
 """f where the velocity is observed, and ω over K0 b̂."""
@@ -45,16 +39,16 @@ ALLOWED = 0.05
 
 def gains_by_rule(period: float, b_bounds: Sequence[float], m_bounds: Sequence[float],
                   k_star: float, k_d: float, theta: Sequence[float], phi: float, delay: int = 1,
-                  quiet: bool = False, most: float = SHARE) -> dict[str, Any]:
+                  quiet: bool = False) -> dict[str, Any]:
     """Return the gains of `robust_eso` that the rules give, by key.
 
     b_bounds, m_bounds: least and largest b [unit of x^(n) per actuator unit] and m [1]; k_d:
         largest
     damping gain wanted; theta, phi: nominal a_i/(b m), shape (r,), and 1/(b m); delay: design
-    delay d [samples]; quiet: the set for noisy sensors; most: largest f.
+    delay d [samples]; quiet: the set for noisy sensors.
     """
     beta, mean = b_bounds[1] * m_bounds[1], 0.5 * (b_bounds[0] + b_bounds[1])
-    gain = min(most, QUIET_SHARE if quiet else SHARE) * chatter_limit(delay) / (beta * period)
+    gain = (QUIET_SHARE if quiet else SHARE) * chatter_limit(delay) / (beta * period)
     slope = gain * mean / (7.0 if quiet else 6.0)
     # A negative weight turns its bounds around.
     pairs = [sorted((0.1 * item, 3.0 * item)) for item in theta]
@@ -63,29 +57,6 @@ def gains_by_rule(period: float, b_bounds: Sequence[float], m_bounds: Sequence[f
             'k_d': min(k_d, gain / 6.0), 'identifier_band': 0.25 * k_star, 'rho_0': 0.3 * k_star,
             'rho_1': 10.0 * k_star, 'theta_min': [low for low, _ in pairs],
             'theta_max': [high for _, high in pairs], 'phi_min': 0.3 * phi, 'phi_max': 2.5 * phi}
-
-
-def share_with_spare_sample(model: Callable[[float], LayerModel | None], period: float,
-                            beta: float, delay: int) -> float:
-    """Return the largest f, at most `SHARE`, with which the loop is calm at d + 1 and 1.05 β.
-
-    Args:
-        model: f → the law inside its layer; None = it has none, and f is `SHARE`.
-        period: T [s].
-        beta: b_max m_max [unit of x^(n) / actuator unit].
-        delay: Design delay d [samples].
-    """
-    def calm(share: float) -> bool:
-        found = model(share)
-        return found is None or largest_beta(found, period, delay + 1) >= SPARE * beta
-
-    low, high = 0.0, SHARE
-    if calm(high):
-        return high
-    for _ in range(16):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if calm(middle) else (low, middle)
-    return low
 
 
 def gains_for_encoder(period: float, sigma: float, beta: float, mean: float, k_star: float,
