@@ -477,7 +477,7 @@ def test_without_an_operator_a_trip_or_an_e_stop_lasts(liars, latched):
             assert held.fault() == 'axis y: the device reports fault 7'     # its own
             liar.faults[1] = 0
         else:
-            liar.device._enter(Mode.ESTOP)
+            liar.device.mode = Mode.ESTOP
             until(held.fault)
         requests = len(liar.commands)
         assert held.resume()
