@@ -53,6 +53,8 @@ class ActuatorGuard:
         self.newest_command: Command | None = None
         self.taken: Command | None = None
         self.limiter = limiter_of(settings, period)
+        self._limiters = getattr(self.limiter, 'each', (self.limiter,))
+        self._refused = [0] * len(self._limiters)       # commands, by each of them
         self._runaways = [RunawayGuard(plant, period) for plant in plants]
         self._record = rows_maker(Command.from_numbers, max(1, len(axes)))
         self._axes = axes
@@ -124,17 +126,14 @@ class ActuatorGuard:
             if not self.supervisor.running:
                 return None
         self.taken = command
-        before = self._refused()
         v = self.limiter.apply(command.v, t)
-        if (refused := self._refused()) != before:
+        refused = [item.refused for item in self._limiters]
+        if refused != self._refused:
+            before, self._refused = self._refused, refused
             return self.fault(self._whose(before, refused) + 'command beyond every number', t)
         return v
 
-    def _refused(self) -> tuple[int, ...]:
-        """Return the number of commands that the limiter of each axis has refused."""
-        return tuple(item.refused for item in getattr(self.limiter, 'each', (self.limiter,)))
-
-    def _whose(self, before: tuple[int, ...], after: tuple[int, ...]) -> str:
+    def _whose(self, before: Sequence[int], after: Sequence[int]) -> str:
         """Return how a reason begins that is of the axes whose numbers differ."""
         if len(self._axes) < 2:
             return ''
