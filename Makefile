@@ -2,7 +2,10 @@
 # Everything from an empty clone with Python 3.10 to 3.13 (venv) and make; `make help` lists it.
 PYTHON ?= python3
 VENV ?= .venv
-RUN ?= runs/demo-$(shell date +%Y%m%d-%H%M%S)
+# Once: a recipe that asked for the time in each of its lines had two names in two seconds.
+ifndef RUN
+RUN := runs/demo-$(shell date +%Y%m%d-%H%M%S)
+endif
 PYTEST_ARGS ?=
 TEST_JOBS ?= 3
 QUICK_JOBS ?= 3

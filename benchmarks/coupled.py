@@ -8,7 +8,8 @@ The arm, its motion and the gains of `coupled_eso` are those of config/two_link_
 independent loops are `robust_eso` with its gains by rule, each from the view of its joint. The
 vehicle and its independent loops are those of config/rov_planar.yaml. Errors are the largest
 max|x̃| of an axis over the last half of 24 s; TV is the total variation of v per second, summed
-over the axes.
+over the axes. `controller.override_checks` of the independent loops of the arm changes no figure;
+why it is set: docs/axes.md.
 """
 
 from __future__ import annotations

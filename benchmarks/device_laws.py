@@ -90,7 +90,7 @@ def laws(sensor: dict[str, Any]) -> dict[str, Configuration]:
         c = c.replace(**{'driver.measured': 1, 'driver.resolution': sensor['plant.resolution']})
         for law, own in (('`robust`', under_robust(c)), ('`robust_eso`', c)):
             tuned = {key: value for key, value in tune(own).after.to_flat().items()
-                     if not key.startswith('driver.')}
+                     if not key.startswith('driver.') or key == 'driver.observer'}
             found[law] = Configuration.from_flat({**tuned, 'loop.duration': 40.0, **sensor})
     found['`robust_eso`, identifier'] = found['`robust_eso`'].replace(
         **{'controller.identifier': True})

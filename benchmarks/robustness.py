@@ -48,6 +48,9 @@ from dz_ros.runs.metrics import choose_window, variation
 from dz_ros.studies.scenarios import base_configuration, yardstick
 
 ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / 'docs' / 'robustness.md'
+GUARD = '## When noise lowers the gain'
+"""What begins here in the page is `guard_steps.py`'s."""
 LAWS = ('wang2004', 'robust', 'robust_eso')
 NOISE = [1e-3, 1e-2]
 """Standard deviation on x and x' where there is noise: that of the comparison of laws."""
@@ -282,8 +285,7 @@ def write(lines: list[str], count: int, duration: float) -> None:
             'guard does not see it; noise carries it to |s| = ε, and the guard lowers the gain. '
             'More plants chatter without noise than were not calm: the loops of the others are '
             'calm near their limit, where an oscillation that a crossing of the dead-zone sets '
-            'off takes many samples to fade. Of the first 300 plants all of these had a spectral '
-            'radius above 0.96, most above 0.98, with one and with two samples of delay.',
+            'off takes many samples to fade.',
             '',
             'The controllers have the bounds that are drawn from. No law of these computes with '
             'those of b: gains are the shipped ones, which are made for b m up to '
@@ -296,7 +298,8 @@ def write(lines: list[str], count: int, duration: float) -> None:
             'the machine.', '',
             'The worst plant found of each law without delay and noise can be run: '
             + ', '.join(f'`dz simulate benchmarks/worst/{law}.yaml`' for law in LAWS) + '.', '']
-    (ROOT / 'docs' / 'robustness.md').write_text('\n'.join(text), encoding='utf-8')
+    _, begin, rest = PAGE.read_text(encoding='utf-8').partition(GUARD)
+    PAGE.write_text('\n'.join(text) + (f'\n{begin}{rest}' if begin else ''), encoding='utf-8')
 
 
 if __name__ == '__main__':

@@ -11,9 +11,9 @@ TYPE_CHECKING = False       # typing takes as long to import as all of Python's 
 if TYPE_CHECKING:
     from typing import Any
 
-__all__ = ['Comparison', 'Configuration', 'DzRosError', 'Findings', 'Law', 'Plant', 'Run',
-           'Trajectory', 'check', 'compare', 'from_control', 'load', 'parameter', 'read',
-           'simulate', 'sweep', 'to_control']
+__all__ = ['AxesComparison', 'Comparison', 'Configuration', 'DzRosError', 'Findings', 'Law',
+           'Plant', 'Run', 'Trajectory', 'check', 'compare', 'from_control', 'load', 'parameter',
+           'read', 'simulate', 'sweep', 'to_control']
 
 
 def __getattr__(name: str) -> Any:

@@ -7,7 +7,9 @@ import re
 import pytest
 import yaml
 
+from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import load_configuration
+from dz_ros.files.launch_arguments import joint_controllers
 
 ROOT = Path(__file__).parent.parent
 CONTROLLERS = ROOT / 'launch' / 'joint_controllers.yaml'
@@ -123,6 +125,15 @@ axes:
   shoulder: {driver: {joint: b}}
   elbow: {driver: {joint: c}}
 """
+
+
+def test_two_controllers_of_one_name_are_refused(tmp_path):
+    mine = tmp_path / 'mine.yaml'
+    mine.write_text(AXES.replace('/turntable/', '/left/arm/'))
+    with pytest.raises(ConfigurationError, match='a manager has one of a name') as caught:
+        joint_controllers(CONTROLLERS, load_configuration(str(mine)), tmp_path)
+    assert caught.value.key == 'axes.shoulder.driver.command_topic'
+    assert not (tmp_path / 'joint_controllers.yaml').exists()
 
 
 def test_axes_of_one_command_topic_are_the_joints_of_one_controller(launch_file, tmp_path):

@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The package as pip, colcon and rosdep see it; what the documents have users type."""
+"""The package as pip, colcon and rosdep see it; what the documents have users type.
+
+Over 300 lines: every file beside the package that a user or an installer meets first.
+"""
 
 import ast
 import importlib
 from importlib import metadata
+import os
 from pathlib import Path
 import re
 import runpy
 import shlex
+import shutil
+import subprocess
 import sys
 import types
 import xml.etree.ElementTree as ET
@@ -299,3 +305,19 @@ def check_dz(words, place):
     if hasattr(arguments, 'config') and not made:     # by an earlier command of the document
         Configuration.from_flat(flat_parameters(arguments.config, arguments.overrides))
     assert callable(arguments.do), place
+
+
+@pytest.mark.skipif(shutil.which('make') is None, reason='make is not installed')
+@pytest.mark.parametrize('words', [[], ['RUN=runs/mine']])
+def test_the_demo_reports_the_run_it_has_recorded_whenever_it_starts(tmp_path, words):
+    """By a clock that gives another second whenever it is asked."""
+    clock = tmp_path / 'date'
+    clock.write_text(f'#!/bin/sh\necho x >> {tmp_path}/asked\nwc -l < {tmp_path}/asked\n',
+                     encoding='utf-8')
+    clock.chmod(0o755)
+    done = subprocess.run(['make', '-n', 'demo', *words], cwd=ROOT, check=True, text=True,
+                          capture_output=True, env={
+                              **os.environ, 'PATH': f'{tmp_path}:{os.environ["PATH"]}'})
+    recorded = re.search(r'--record (\S+)', done.stdout)[1]
+    assert re.search(r'dz report (\S+)', done.stdout)[1] == recorded
+    assert recorded.startswith('runs/mine' if words else 'runs/demo-')

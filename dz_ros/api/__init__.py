@@ -13,7 +13,7 @@ trajectory may be given as a class, a subclass of `Plant`, `Law` or `Trajectory`
 
 from dz_ros.api.functions import check, compare, load, read, simulate, sweep
 from dz_ros.api.python_control import from_control, to_control
-from dz_ros.api.results import Comparison, Findings, Run
+from dz_ros.api.results import AxesComparison, Comparison, Findings, Run
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws.base import Law
 from dz_ros.core.plants.base import Plant
@@ -21,6 +21,6 @@ from dz_ros.core.schema import parameter
 from dz_ros.core.trajectories.base import Trajectory
 from dz_ros.errors import DzRosError
 
-__all__ = ['Comparison', 'Configuration', 'DzRosError', 'Findings', 'Law', 'Plant', 'Run',
-           'Trajectory', 'check', 'compare', 'from_control', 'load', 'parameter', 'read',
-           'simulate', 'sweep', 'to_control']
+__all__ = ['AxesComparison', 'Comparison', 'Configuration', 'DzRosError', 'Findings', 'Law',
+           'Plant', 'Run', 'Trajectory', 'check', 'compare', 'from_control', 'load', 'parameter',
+           'read', 'simulate', 'sweep', 'to_control']

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from dz_ros.api.results import Comparison, Findings, Run
+from dz_ros.api.results import AxesComparison, Comparison, Findings, Run
 from dz_ros.core.configuration import allow_named, Configuration, SECTIONS, SELECTORS
 from dz_ros.core.dataset import from_run
 from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.core.loop.offline import simulate as simulate_plain
 from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import flat_parameters
-from dz_ros.report.compare import compare as compare_views
+from dz_ros.report.axes import compare_axes
 from dz_ros.studies.code_folder import keep_compiled
 
 LONG = 100_000
@@ -92,16 +92,17 @@ def read(path: str | os.PathLike[str], namespace: str | None = None,
     Args:
         path: Directory of a run, .mcap or .db3 file.
         namespace: Whose topics to read where the recording holds several loops.
-        axis: Name of the axis of a run of several.
+        axis: Name of the axis of a run of several; None = all of them.
 
     Raises:
-        RecordingError: Nothing there, not a run of dz_ros, or damaged; several axes, none named.
+        RecordingError: Nothing there, not a run of dz_ros, damaged, or without this axis.
     """
     from dz_ros.recording.reader import read_run
-    from dz_ros.runs.axes import choose_axis
+    from dz_ros.runs.axes import axis_run
 
     path = Path(path)
-    return Run(choose_axis(read_run(path, namespace), axis), path.name)
+    data = read_run(path, namespace)
+    return Run(data if axis is None else axis_run(data, axis), path.name)
 
 
 def check(source: Source = None, overrides: Mapping[str, Any] | None = None,
@@ -154,8 +155,8 @@ def sweep(source: Source, over: Mapping[str, Sequence[Any]], *, samples: int = 0
         return read_sweep(file)
 
 
-def compare(*runs: Run, names: Sequence[str] = ()) -> Comparison:
-    """Lay runs side by side.
+def compare(*runs: Run, names: Sequence[str] = ()) -> Comparison | AxesComparison:
+    """Lay runs side by side; of several axes each axis by itself.
 
     Args:
         *runs: Two or more.
@@ -163,6 +164,7 @@ def compare(*runs: Run, names: Sequence[str] = ()) -> Comparison:
 
     Raises:
         ConfigurationError: Fewer than two runs, something else, or not a name for each.
+        RecordingError: The runs have not the same axes.
     """
     for run in runs:
         if not isinstance(run, Run):
@@ -170,8 +172,9 @@ def compare(*runs: Run, names: Sequence[str] = ()) -> Comparison:
     given = [*names] or [run.name or f'run {place}' for place, run in enumerate(runs, 1)]
     if len(set(given)) != len(runs):
         raise ConfigurationError('names', given, f'must be {len(runs)} different names')
-    return Comparison(compare_views({name: run.data for name, run in
-                                     zip(given, runs, strict=True)}))
+    found = {axis: Comparison(comparison) for axis, comparison in compare_axes(
+        {name: run.data for name, run in zip(given, runs, strict=True)}).items()}
+    return found[''] if '' in found else AxesComparison(found)
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
@@ -189,6 +192,8 @@ def _value(key: str, value: Any) -> Any:
     """Return a value as configurations take it: classes by name, arrays as lists."""
     if isinstance(value, np.ndarray):
         return value.tolist()
+    if key.startswith('axes.'):
+        key = key.split('.', 2)[-1]
     section, _, name = key.partition('.')
     if isinstance(value, type) and SELECTORS.get(section) == name:
         registry = SECTIONS[section][1]

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dz_ros.core.axes import spoken
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
 from dz_ros.core.design.finding import ERROR, Finding, WARNING, worst
@@ -21,6 +22,7 @@ from dz_ros.report.compare import Comparison as _Comparison
 from dz_ros.report.compare import overlaid
 from dz_ros.report.report import pictures
 from dz_ros.report.view import View
+from dz_ros.runs.axes import axis_run, require_one
 from dz_ros.runs.metrics import Metrics
 
 Array = NDArray[np.float64]
@@ -28,6 +30,9 @@ Array = NDArray[np.float64]
 
 class Run:
     """A run, simulated or recorded: its samples, metrics and figures.
+
+    Of a recording of several axes, `axis` gives the run of one of them; what describes one axis
+    (all but `axes`, `axis`, `save` and the length) raises a RecordingError before.
 
     Args:
         data: Its channels.
@@ -41,9 +46,27 @@ class Run:
         self.data = data
         self.name = name
 
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """Names of its axes; empty: one, without a name."""
+        return self.data.axes
+
+    def axis(self, name: str) -> Run:
+        """Return the run of one of its axes.
+
+        Raises:
+            RecordingError: There is no such axis.
+        """
+        return Run(axis_run(self.data, name), f'{self.name} {name}'.lstrip())
+
     @cached_property
     def view(self) -> View:
-        """The run as one table, with metrics and timing."""
+        """The run as one table, with metrics and timing.
+
+        Raises:
+            RecordingError: It has several axes, or no two states.
+        """
+        require_one(self.data, 'axis()')
         return View.of(self.data)
 
     @property
@@ -134,10 +157,13 @@ class Run:
 
     def __len__(self) -> int:
         """Return the number of samples."""
-        return len(self.view.rows.seq)
+        first = self.axis(self.axes[0]) if self.axes else self
+        return len(first.view.rows.seq)
 
     def __repr__(self) -> str:
-        """Return one line: what ran, how long, how well."""
+        """Return one line: what ran, how long, how well; of several axes their names."""
+        if self.axes:
+            return f'<Run {f"{self.name}: " if self.name else ""}{spoken(self.axes)}>'
         setting, metrics = self.view.setting, self.metrics
         unit = f' {setting.unit("x")}'.removesuffix(' 1').rstrip()
         error = '' if metrics.error_max is None else f', max|x̃| {metrics.error_max:.4g}{unit}'
@@ -187,6 +213,23 @@ class Comparison:
         widths = [max(len(row[i]) for row in table) for i in range(len(table[0]))]
         return '\n'.join('  '.join(text.ljust(width) for text, width in
                                    zip(row, widths, strict=True)).rstrip() for row in table)
+
+
+class AxesComparison(dict[str, Comparison]):
+    """Runs of several axes side by side: axis → comparison; prints as text."""
+
+    def to_pandas(self) -> Any:
+        """Return the metrics as a DataFrame, one row an axis and run.
+
+        Raises:
+            MissingDependencyError: pandas is not installed.
+        """
+        return _pandas().concat({axis: found.to_pandas() for axis, found in self.items()},
+                                names=['axis', 'run'])
+
+    def __repr__(self) -> str:
+        """Return the table of metrics of each axis."""
+        return '\n'.join(f'axis {axis}\n{found!r}' for axis, found in self.items())
 
 
 class Findings(tuple[Finding, ...]):

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """``dz report RUN``: the page with figures and metrics, and the five most important numbers.
 
-With ``--serve`` the run is shown in the browser instead, by the page of a running loop.
+With ``--serve`` the run is shown in the browser instead, by the page of a running loop; of several
+axes a summary, and this page for each.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping
 import json
 from pathlib import Path
 import sys
@@ -17,6 +19,7 @@ from dz_ros.cli.options import (
     add_recording,
     check_address,
     read_axes,
+    read_chosen,
     read_one,
     window,
 )
@@ -25,16 +28,19 @@ from dz_ros.cli.progress import stage
 from dz_ros.cli.table import five_rows, format_table, window_title
 from dz_ros.core.dataset import RunData
 from dz_ros.errors import ConfigurationError, DzRosError
+from dz_ros.report.compare import compare, Comparison
 from dz_ros.report.reference_run import without_dead_zone
 from dz_ros.report.verdict import judge
 from dz_ros.report.view import View
+from dz_ros.runs.axes import same_axes
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     add_recording(parser, numbers=True)
     parser.add_argument('--serve', action='store_true',
-                        help='show the run in the browser, to scrub through, until Ctrl-C')
+                        help='show the run in the browser, to scrub through, until Ctrl-C; of '
+                             'several axes a summary with a page for each')
     parser.add_argument('--over', type=Path, metavar='RUN2',
                         help='with --serve: a second run to lay over the first')
     add_address(parser)
@@ -53,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Read, write the report, print the numbers."""
     check_address(arguments, arguments.serve)
     if arguments.serve:
-        return _serve(arguments, read_one(arguments))
+        return _serve(arguments)
     if arguments.over is not None:
         raise ConfigurationError('--over', str(arguments.over), 'goes with --serve; dz bag '
                                  'compare lays runs side by side in a report')
@@ -120,15 +126,36 @@ def _report_axes(arguments: argparse.Namespace, runs: dict[str, RunData]) -> int
     return code
 
 
-def _serve(arguments: argparse.Namespace, data: RunData) -> int:
-    """Show one or two runs in the browser."""
+def _serve(arguments: argparse.Namespace) -> int:
+    """Show one or two runs in the browser.
+
+    Raises:
+        ConfigurationError: --out or --json, which are of a report.
+        RecordingError: A run cannot be read, or the two have not the same axes.
+    """
+    if arguments.json or arguments.out is not None:
+        name, value = ('--json', True) if arguments.json else ('--out', str(arguments.out))
+        raise ConfigurationError(name, value, 'does not go with --serve, which writes no report')
     from dz_ros.cli.serve import serve
 
-    runs = {arguments.run.resolve().name: data}
-    if arguments.over is not None:
-        name = arguments.over.resolve().name
-        runs[f'{name} (2)' if name in runs else name] = read_one(arguments, arguments.over)
-    return serve(runs, arguments.host, arguments.port)
+    runs: dict[str, RunData] = {}
+    for path in filter(None, (arguments.run, arguments.over)):
+        name = path.resolve().name
+        runs[f'{name} (2)' if name in runs else name] = read_chosen(arguments, path)
+    axes = same_axes(runs)
+    if '' in axes:
+        return serve(axes, {}, arguments.host, arguments.port)
+    with stage('computing the metrics'):
+        comparisons = {axis: _views(arguments, named) for axis, named in axes.items()}
+    return serve(axes, comparisons, arguments.host, arguments.port)
+
+
+def _views(arguments: argparse.Namespace, runs: Mapping[str, RunData]) -> Comparison:
+    """Return one run looked at, or two with the tolerance of the first, as `dz bag compare`."""
+    if len(runs) > 1:
+        return compare(runs, window=window(arguments), pulse=arguments.pulse)
+    return Comparison({name: View.of(run, window=window(arguments), pulse=arguments.pulse)
+                       for name, run in runs.items()})
 
 
 def _reference_run(view: View, arguments: argparse.Namespace) -> RunData | None:

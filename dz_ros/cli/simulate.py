@@ -26,7 +26,7 @@ from dz_ros.core.loop.offline import Run
 from dz_ros.core.signals import TERM_NAMES
 from dz_ros.errors import ConfigurationError
 from dz_ros.report.view import View
-from dz_ros.runs.axes import each_axis
+from dz_ros.runs.axes import each_axis, named_axis
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         if csv is not None and csv.resolve() == arguments.record.resolve():
             raise ConfigurationError('--csv', str(csv), 'must not be the directory of --record')
     done = simulate_machine(configuration)
-    data = from_runs(done, configuration, time.time_ns())
+    data = named_axis(from_runs(done, configuration, time.time_ns()), arguments.axis)
     if arguments.record is not None:
         from dz_ros.recording.save import save_run, state_configuration
 

@@ -9,6 +9,7 @@ same seq, stamp and echo in every axis.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+import math
 import re
 from typing import Any, TypeVar
 
@@ -25,6 +26,11 @@ _NAME = re.compile(rf'[A-Za-z][A-Za-z0-9_]{{0,{MAX_NAME - 1}}}')
 Record = TypeVar('Record')
 
 
+def is_name(text: str) -> bool:
+    """Return whether a text can be the name of an axis, usable in keys and labels."""
+    return _NAME.fullmatch(text) is not None
+
+
 def check_names(axes: Sequence[str], key: str = 'loop.axes') -> tuple[str, ...]:
     """Return the names of the axes of a loop, each different and usable in keys and labels.
 
@@ -36,7 +42,7 @@ def check_names(axes: Sequence[str], key: str = 'loop.axes') -> tuple[str, ...]:
         raise ConfigurationError(key, list(found), f'has {len(found)} axes, a loop has at most '
                                  f'{MAX_AXES}')
     for name in found:
-        if not _NAME.fullmatch(name):
+        if not is_name(name):
             raise ConfigurationError(key, name, 'must be a name of letters, digits and _ that '
                                      f'begins with a letter, at most {MAX_NAME} characters')
         if found.count(name) > 1:
@@ -93,7 +99,17 @@ class Rows(tuple[Any, ...]):
 
     def numbers(self) -> tuple[float, ...]:
         """Return the numbers of all rows, one after the other."""
-        return tuple(number for record in self for number in record.numbers())
+        found: list[float] = []
+        for record in self:
+            found += record.numbers()
+        return tuple(found)
+
+
+def all_finite(rows: Sequence[Sequence[float]]) -> bool:
+    """Return whether every number of every row is finite."""
+    # A sum that is finite has none but finite terms; the reverse need not be so.
+    return math.isfinite(sum(map(sum, rows))) or all(
+        math.isfinite(number) for row in rows for number in row)
 
 
 def diagnostic_values(axes: int) -> int:

@@ -91,6 +91,10 @@ class Beside:
         found = [item.measure(t) for item in self._hosts.each]
         return found[self._place]
 
+    def absence(self) -> str:
+        """Return why it has no measurement; '' = not known."""
+        return self.own.absence()
+
     def fault(self) -> str:
         """Return what is wrong with it, or with any axis; '' = nothing."""
         return self._hosts.fault() if self._all_faults else self.own.fault()

@@ -23,6 +23,8 @@ from dz_ros.core.schema import parameter
 if TYPE_CHECKING:
     from dz_ros.core.configuration import Configuration
 
+BASELINE = 4.0
+"""Samples over which a speed that is not measured is taken, to advance the position."""
 SAMPLES = 2.0
 """A measurement older than this is none, unless a parameter states another [samples]."""
 
@@ -68,8 +70,11 @@ class Freshness:
         return _age(at, now) > self.absent
 
     def advanced(self, x: float, speed: float, age: float) -> float:
-        """Return a position brought forward by its age [s]; as it is where no speed is known."""
-        return x + speed * min(max(age, 0.0), self.limit) if math.isfinite(speed) else x
+        """Return a position brought forward by its age [s]; as it is where no speed is known.
+
+        It is brought back to a sample that ended before: its age is negative.
+        """
+        return x + speed * min(max(age, -self.limit), self.limit) if math.isfinite(speed) else x
 
 
 def _age(at: float, now: float | None) -> float:

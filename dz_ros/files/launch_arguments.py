@@ -178,12 +178,14 @@ def joint_controllers(template: Path, configuration: Configuration, folder: Path
         The file.
 
     Raises:
-        ConfigurationError: The command topic is not that of a controller.
+        ConfigurationError: The command topic is not that of a controller, or that of another one
+            of the same name.
     """
     content = yaml.safe_load(template.read_text(encoding='utf-8'))
     section = content.pop('effort_controller')['ros__parameters']
     manager = content['controller_manager']['ros__parameters']
     kind = manager.pop('effort_controller')
+    topics: dict[str, str] = {}
     for prefix, driver in joint_axes(configuration).items():
         controller, _, last = driver.command_topic.strip('/').rpartition('/')
         if last != 'commands' or not controller:
@@ -191,6 +193,11 @@ def joint_controllers(template: Path, configuration: Configuration, folder: Path
                                      'must end in CONTROLLER/commands where a controller is '
                                      'spawned')
         controller = controller.rpartition('/')[2]
+        topic = topics.setdefault(controller, driver.command_topic)
+        if topic != driver.command_topic:
+            raise ConfigurationError(f'{prefix}driver.command_topic', driver.command_topic,
+                                     f'names the controller {controller} of {topic} again: '
+                                     'a manager has one of a name')
         if controller not in manager:
             manager[controller] = kind
             content[controller] = {'ros__parameters': {

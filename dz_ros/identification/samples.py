@@ -6,12 +6,16 @@ each repeat, so that it can be viewed and evaluated again. A run without such ev
 equal parts that take the place of repeats. A command acts from its arrival on: the stamp of the
 state it answers, plus the round trip that a later state reports of it (0 offline and in lockstep),
 plus a known delay in whole samples.
+
+In an experiment every command is known, so a short hole in what was measured, as a busy machine
+leaves, is filled by a cubic through its neighbours before anything is estimated; the recording
+keeps the hole.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +37,8 @@ SMOOTH = 0.05
 """Half-width of the local polynomials that speeds are taken from [s]."""
 MAX_PARTS, PART = 12, 5.0
 """Largest number of parts of a run without repeats, and the shortest of them [s]."""
+HOLE = 0.02
+"""Longest hole of an experiment that is filled [s]."""
 LARGEST = 1e100
 """A state from here on is no measurement, and its square no number."""
 
@@ -50,6 +56,8 @@ class Samples:
         measured: How many of x, x', … the device measures.
         period: T [s].
         pieces: The commands held during each sample; None = v throughout.
+        filled: How many of them are none of the device's, but fill holes.
+        resolution: One step of x as the device states it [unit of x]; 0 = not known.
     """
 
     seq: NDArray[np.int64]
@@ -60,6 +68,8 @@ class Samples:
     measured: int
     period: float
     pieces: tuple[tuple[Piece, ...], ...] | None = None
+    filled: int = 0
+    resolution: float = 0.0
 
     @property
     def t(self) -> Array:
@@ -73,6 +83,39 @@ class Samples:
         good: NDArray[np.bool_] = np.asarray((np.abs(x) < LARGEST).all(axis=1))
         found: NDArray[np.bool_] = (np.diff(self.seq) == 1) & good[1:] & good[:-1]
         return found
+
+    def without_short_holes(self) -> Samples:
+        """Return an experiment with its holes of up to `HOLE` filled by their neighbours (ours).
+
+        Each is filled by the cubic that is nearest to the measurements beside it, two on each side
+        at least and as many in all as it lacks; the command held across a sample that was skipped
+        is the one before.
+        """
+        good = (np.abs(self.x[:, :self.measured]) < LARGEST).all(axis=1)
+        at, measured = self.seq[good], self.x[good]
+        longest = int(HOLE / self.period + 1e-6)
+        fit = np.polynomial.Polynomial.fit
+        filled: dict[int, Array] = {}
+        for place in (np.flatnonzero(np.diff(at) > 1) + 1).tolist():
+            low, high = int(at[place - 1]) + 1, int(at[place])
+            lacking = high - low
+            side = max(2, lacking // 2)
+            near = at[max(place - side, 0):place + side] - low
+            if (lacking > longest or len(near) < 2 * side
+                    or np.ptp(near) > 2 * (lacking + 2 * side)):
+                continue
+            found = [fit(near, column, 3)(np.arange(lacking))
+                     for column in measured[place - side:place + side].T]
+            filled |= zip(range(low, high), np.column_stack(found), strict=True)
+        if not filled:
+            return self
+        seq = np.union1d(self.seq, np.array(list(filled)))
+        rows = np.searchsorted(self.seq, seq, side='right') - 1
+        x = self.x[rows]
+        x[np.searchsorted(seq, list(filled))] = list(filled.values())
+        return replace(self, seq=seq, x=x, v=self.v[rows], repeat=self.repeat[rows],
+                       kinds=tuple(self.kinds[row] for row in rows.tolist()),
+                       pieces=None, filled=len(filled))
 
     def held(self, row: int) -> tuple[Piece, ...]:
         """Return the commands held during a sample."""
@@ -92,8 +135,8 @@ def to_run(samples: Samples, c: Configuration, start_ns: int) -> RunData:
     good = np.isfinite(samples.x).all(axis=1)
     seq, t = samples.seq[good].astype(float), samples.t[good]
     times = start_ns + np.round(t * 1e9).astype(np.int64)
-    before = np.concatenate([[-1.0], seq[:-1]])
-    stamps = np.concatenate([[0.0], t[:-1]])
+    before = np.concatenate([[-1.0], seq])[:-1]     # none, where nothing was measured
+    stamps = np.concatenate([[0.0], t])[:-1]
     state = np.column_stack([seq, t, samples.x[good], before, stamps, np.zeros(len(seq))])
     command = np.column_stack([seq, t, samples.v[good], seq, t, np.zeros(len(seq))])
     begins = np.flatnonzero(np.diff(samples.repeat, prepend=-2) != 0).tolist()
@@ -127,17 +170,22 @@ def from_run(run: RunData, c: Configuration, delay: int = 0) -> Samples:
     if x.shape[1] != c.plant.order:
         raise RecordingError(f'the run has {x.shape[1]} states, plant.model = {c.plant.name!r} '
                              f'has order {c.plant.order}')
-    stamps, period = state['stamp'][rows].tolist(), c.loop.period
+    period = c.loop.period
+    found = Samples(seq, x, np.zeros(len(seq)), _repeats(run, seq, period), ('run',) * len(seq),
+                    _measured(run, c), period)
+    stamps = state['stamp'][rows]
+    if next(of_kind(run.events, RepeatEvent), None) is not None:
+        found = found.without_short_holes()     # what acts in a hole is known from the arrivals
+        stamps, seq = np.interp(found.seq, seq, stamps), found.seq
     pieces = []
-    for row, begin in enumerate(stamps):
-        end = stamps[row + 1] if row + 1 < len(stamps) else begin + period
+    for row, begin in enumerate(stamps.tolist()):
+        end = float(stamps[row + 1]) if row + 1 < len(seq) else begin + period
         near = begin < end < begin + 5.0 * period and seq[min(row + 1, len(seq) - 1)] <= (
             seq[row] + 1)
         pieces.append(_pieces(begin, end if near else begin + period, times, commands))
     v = np.array([sum(span * held for _, span, held in item) / sum(item[1] for item in item)
                   if item else np.nan for item in pieces])
-    return Samples(seq, x, v, _repeats(run, seq, period), ('run',) * len(seq),
-                   _measured(run, c), period, tuple(pieces))
+    return replace(found, v=v, pieces=tuple(pieces))
 
 
 def state_and_command(run: RunData) -> tuple[Channel, Channel]:

@@ -16,7 +16,6 @@ from dz_ros.errors import DzRosError, LoopError
 from dz_ros.live.access import Access
 from dz_ros.live.clock import clock
 from dz_ros.live.requests import finite, parse, ProtocolError, result
-from dz_ros.live.source import Source
 from dz_ros.live.viewer import Viewer
 
 ACTIONS = frozenset(('reset', 'activate', 'deactivate', 'set', 'disturbance_pulse', 'commission'))
@@ -26,16 +25,14 @@ OLD = 3.0
 
 
 class Answers:
-    """Answers the viewers of one source.
+    """Answers the viewers of one server, each from the source that it is shown.
 
     Args:
-        source: What is shown.
         access: Permissions.
         kinds: aiohttp's kinds of messages.
     """
 
-    def __init__(self, source: Source, access: Access, kinds: Any) -> None:
-        self._source = source
+    def __init__(self, access: Access, kinds: Any) -> None:
         self._access = access
         self._kinds = kinds
         self._tasks: set[asyncio.Task[None]] = set()
@@ -66,7 +63,7 @@ class Answers:
                 return
             viewer.busy = True
             task = asyncio.create_task(self._work(viewer, what, number, request,
-                                                  self._source.stops))
+                                                  viewer.source.stops))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
         else:
@@ -76,7 +73,7 @@ class Answers:
         if not viewer.may_act:
             return result(number, False, self._access.why_not(viewer.token))
         try:
-            return {**result(number, True, ''), **self._source.estop(viewer.name)}
+            return {**result(number, True, ''), **viewer.source.estop(viewer.name)}
         except DzRosError as error:
             return result(number, False, str(error))
 
@@ -85,7 +82,7 @@ class Answers:
         """Work on a request and answer it."""
         try:
             if what in QUESTIONS:
-                found = await self._source.ask(request)
+                found = await viewer.source.ask(request)
                 if isinstance(found, bytes):
                     await viewer.give(found)    # the next one when this one has left
                     return
@@ -95,7 +92,7 @@ class Answers:
             else:
                 self._fresh(request)
                 answer = {**result(number, True, ''),
-                          **await self._source.act(viewer.name, request, stops)}
+                          **await viewer.source.act(viewer.name, request, stops)}
         except DzRosError as error:
             answer = result(number, False, str(error))
         finally:

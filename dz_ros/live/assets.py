@@ -10,8 +10,8 @@ _TYPES = {'html': 'text/html', 'css': 'text/css', 'js': 'text/javascript', 'svg'
 _NAMES = (
     'style.css', 'panels.css', 'screens.css', 'main.js', 'link.js', 'store.js', 'frames.js',
     'view.js', 'plots.js', 'painters.js', 'histograms.js', 'readout.js', 'nodes.js', 'actions.js',
-    'commissioning.js', 'parameters.js', 'scrub.js', 'exports.js', 'theme_switch.js', 'words.js',
-    'icon.svg',
+    'commissioning.js', 'parameters.js', 'scrub.js', 'summary.js', 'exports.js', 'theme_switch.js',
+    'words.js', 'icon.svg',
     'vendor/uPlot.esm.js', 'vendor/uPlot.min.css', 'vendor/uPlot.LICENSE.txt',
 )
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded runs as the page shows them: one, or two laid over each other."""
+"""Recorded runs as the page shows them: one, or two laid over each other; of several axes each."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from dz_ros.core.dataset import RunData
 from dz_ros.core.events import ConfigurationEvent, typed
 from dz_ros.core.records import SEQ_LIMIT
-from dz_ros.errors import ConfigurationError
+from dz_ros.errors import ConfigurationError, LoopError
 from dz_ros.live.columns import Layout
 from dz_ros.live.counts import counts, NAMES
 from dz_ros.live.derived import Deriver
@@ -39,6 +39,8 @@ class Recorded(Source):
 
     Args:
         runs: Name → run, in the order shown.
+        axis: Name of the axis that they are of; '' = one without a name.
+        axes: Names of all axes that can be looked at.
 
     Attributes:
         layout: Columns of all runs.
@@ -48,8 +50,10 @@ class Recorded(Source):
         RecordingError: A run has nothing to show.
     """
 
-    def __init__(self, runs: Mapping[str, RunData]) -> None:
+    def __init__(self, runs: Mapping[str, RunData], axis: str = '',
+                 axes: Sequence[str] = ()) -> None:
         self._names = list(runs)
+        self._axis, self._axes = axis, list(axes)
         labels: dict[str, tuple[str, ...]] = {}
         for run in runs.values():
             for topic, channel in run.channels.items():
@@ -116,8 +120,9 @@ class Recorded(Source):
         c = self._histories[0].configuration
         described = {**facts(c), 'parameters': []}
         return {**described, 'rate': self._rate(), 'mode': 'run', 'runs': self._names,
-                'title': ' and '.join(self._names), 'lengths': [len(table)
-                                                                for table in self.tables],
+                'title': f'{" and ".join(self._names)}{self._axis and f", axis {self._axis}"}',
+                'axes': self._axes, 'axis': self._axis,
+                'lengths': [len(table) for table in self.tables],
                 'columns': self.layout.describe(c),
                 'minutes': 0, 'namespace': ''}
 
@@ -184,3 +189,47 @@ class Recorded(Source):
             kept.append(np.arange(count) * size + np.where(
                 np.isnan(stretches), -np.inf, stretches).argmax(axis=1))
         return rows[np.unique(np.concatenate(kept))]
+
+
+class RecordedAxes(Source):
+    """Recorded runs of several axes: a summary, and each axis as `Recorded` shows it.
+
+    Args:
+        axes: Axis → name → run of this axis.
+        failures: Why runs failed, a line each.
+        tables: Tables of the summary: heading, head, rows of texts.
+
+    Raises:
+        RecordingError: A run has nothing to show.
+    """
+
+    def __init__(self, axes: Mapping[str, Mapping[str, RunData]], failures: Sequence[str],
+                 tables: Sequence[tuple[str, Sequence[str], Sequence[Sequence[str]]]]) -> None:
+        self._each = {axis: Recorded(runs, axis, list(axes)) for axis, runs in axes.items()}
+        self._runs = list(next(iter(axes.values())))
+        self._failures, self._tables = list(failures), list(tables)
+        self.history = History(1, 1)
+
+    @property
+    def problems(self) -> list[str]:
+        """Return why configurations cannot be used here, a line for each axis of each run."""
+        return [f'axis {axis}: {problem}' for axis, recorded in self._each.items()
+                for problem in recorded.problems]
+
+    def of_axis(self, axis: str) -> Source | None:
+        """Return the runs of an axis, for '' this summary; None = there is no such axis."""
+        return self._each.get(axis) if axis else self
+
+    def hello(self) -> dict[str, Any]:
+        """Return the summary: names of runs and axes, failures, tables."""
+        return {'mode': 'axes', 'title': ' and '.join(self._runs), 'runs': self._runs,
+                'axes': list(self._each), 'failures': self._failures, 'tables': self._tables}
+
+    async def ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Refuse: a summary has no rows.
+
+        Raises:
+            LoopError: Always.
+        """
+        raise LoopError(f'{request.get("do")}: the summary has none; ask for one of axes '
+                        f'{", ".join(self._each)}')

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The page's server: static files from memory, and one WebSocket a viewer.
 
-A viewer's first text is ``{"hello": 1, "token": …, "seconds": …}``; it gets a text of kind
-``hello``, then rows as frames (`dz_ros.live.history`) and texts of kinds ``status``, ``event`` and
-``result``. What it asks has an ``id`` and a ``do`` (`dz_ros.live.answers`). Whatever is not that
-ends its connection, and its alone.
+A viewer's first text is ``{"hello": 1, "token": …, "seconds": …, "axis": …}``; it gets a text of
+kind ``hello``, then rows as frames (`dz_ros.live.history`) and texts of kinds ``status``,
+``event`` and ``result``. What it asks has an ``id`` and a ``do`` (`dz_ros.live.answers`). Whatever
+is not that ends its connection, and its alone.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Server:
         self._runner: Any = None
         self._connections: Connections | None = None
         self._listener: asyncio.AbstractServer | None = None
-        self._answers = Answers(source, access, self._kinds)
+        self._answers = Answers(access, self._kinds)
 
     async def start(self, port: int = 0) -> str:
         """Listen; return the address to open.
@@ -173,18 +173,23 @@ class Server:
                                        timeout=2.0)
         await answer.prepare(request)
         peer = request.remote or '?'
-        viewer = Viewer(answer, request.transport, peer)
+        viewer = Viewer(answer, request.transport, peer, self._source)
         code, reason = 1008, 'hello expected'
         sender: asyncio.Task[None] | None = None
         try:
             # One deadline: a receive with a time-out would restart at each ping.
-            token, seconds = await asyncio.wait_for(self._hello(answer), HELLO_LIMIT)
+            token, seconds, axis = await asyncio.wait_for(self._hello(answer), HELLO_LIMIT)
             if not self._access.may_look(token):
                 code, reason = 4401, 'the token is missing or wrong'
                 return answer
             if not self._room(token):
                 code, reason = 1013, 'the other places are for those with the token'
                 return answer
+            source = self._source.of_axis(axis)
+            if source is None:
+                code, reason = 1008, 'there is no such axis'
+                return answer
+            viewer.source = source
             self._introduce(viewer, token, seconds)
             self.viewers.add(viewer)
             sender = asyncio.create_task(self._feed(viewer))
@@ -211,23 +216,23 @@ class Server:
         others = sum(not self._access.knows(viewer.token) for viewer in self.viewers)
         return others < MOST_VIEWERS - TOKEN_PLACES and len(self.viewers) < MOST_VIEWERS
 
-    async def _hello(self, answer: Any) -> tuple[str, float]:
-        """Return token and seconds of history wanted."""
+    async def _hello(self, answer: Any) -> tuple[str, float, str]:
+        """Return token, seconds of history wanted and the axis asked for, '' = none."""
         first = parse(await answer.receive(), self._kinds)
         seconds = finite(first.get('seconds', 0))
         if 'hello' not in first or seconds is None or not 0 <= seconds < 1e6:
             raise ProtocolError('hello expected')
-        return str(first.get('token', '')), seconds
+        return str(first.get('token', '')), seconds, str(first.get('axis', ''))
 
     def _introduce(self, viewer: Viewer, token: str, seconds: float) -> None:
         """Send a viewer the description of the source and the rows of the last `seconds`."""
-        history = self._source.history
-        hello = self._source.hello()
+        history = viewer.source.history
+        hello = viewer.source.hello()
         why_not = self._access.why_not(token)
         viewer.token, viewer.seconds, viewer.may_act = token, seconds, not why_not
         viewer.send({'kind': 'hello', **hello, 'generation': history.generation,
                     'may_act': not why_not, 'why_not': why_not, 'time': clock()})
-        for message in self._source.now():
+        for message in viewer.source.now():
             viewer.send(message)
         viewer.generation = history.generation
         viewer.cursor = history.begin(seconds * hello.get('rate', 0.0))
@@ -238,6 +243,6 @@ class Server:
             while True:
                 await viewer.wake.wait()
                 viewer.wake.clear()
-                await viewer.send_all(self._source.history)
+                await viewer.send_all(viewer.source.history)
         except (ConnectionError, RuntimeError):
             viewer.drop()

@@ -33,6 +33,17 @@ class Source(ABC):
         if self.stops != stops:
             raise LoopError('cancelled: an e-stop was pressed after this was asked')
 
+    def of_axis(self, axis: str) -> Source | None:  # noqa: ARG002 - of those that keep them apart
+        """Return what a viewer that asks for an axis is shown; None = there is no such axis.
+
+        What can be stopped is shown whatever the address of the page asks for: its e-stop must be
+        within reach. So only a source that keeps its axes apart refuses one.
+
+        Args:
+            axis: Name of the axis; '' = the viewer asks for none.
+        """
+        return self
+
     @abstractmethod
     def hello(self) -> dict[str, Any]:
         """Return what a page must know first: columns, units, parameters, what it may do."""

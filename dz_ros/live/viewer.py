@@ -16,6 +16,7 @@ from typing import Any
 
 from dz_ros.live.clock import clock
 from dz_ros.live.requests import text_of
+from dz_ros.live.source import Source
 
 STALLED = 5.0
 """A frame of which nothing has left for this long means that the viewer does not read [s]."""
@@ -53,6 +54,7 @@ class Viewer:
         socket: Its prepared WebSocket.
         transport: The connection below it.
         name: Its address, for the record of actions.
+        source: What it is shown.
 
     Attributes:
         token: What it has shown.
@@ -62,8 +64,9 @@ class Viewer:
         busy: Whether a request of its is being worked on.
     """
 
-    def __init__(self, socket: Any, transport: Any, name: str) -> None:
+    def __init__(self, socket: Any, transport: Any, name: str, source: Source) -> None:
         self.name = name
+        self.source = source
         self.token = ''
         self.may_act = False
         self.seconds = 0.0

@@ -20,7 +20,7 @@ from dz_ros.core import schema
 from dz_ros.core.axes import Rows, rows_maker
 from dz_ros.core.axes_keys import parts, section_of
 from dz_ros.core.design.finding import INFO
-from dz_ros.core.design.observation import check_observer
+from dz_ros.core.design.observation import check_observer, measured_steps
 from dz_ros.core.plants.base import Plant
 from dz_ros.core.records import Command, Reference, State, Truth
 from dz_ros.core.safety.actuator_guard import ActuatorGuard
@@ -343,7 +343,8 @@ class ActuatorNode(ManagedNode):
         """Log the design rule of an observed velocity, where it warns."""
         hosts = self._hosted if self._several else (('', self._hosted),)
         for (name, hosted), c in zip(hosts, self.configuration.each, strict=True):
-            for finding in check_observer(c, hosted.measured, hosted.driver.resolution):
+            for finding in check_observer(c, hosted.measured,
+                                          measured_steps(hosted.driver)):
                 if finding.level != INFO:
                     self.get_logger().warning(
                         (f'axis {name}: ' if name else '') + f'design rule {finding.rule}: '

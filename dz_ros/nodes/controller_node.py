@@ -254,8 +254,14 @@ class ControllerNode(ManagedNode):
         command, _ = answer
         hold = 0.0 if self.lockstep or not taken_ns else (
             time.monotonic_ns() - taken_ns) * 1e-9
-        self._publish_command((*command.numbers()[:-1], hold) if len(self._healths) == 1 else
-                              Rows(row._replace(hold=hold) for row in command).numbers())
+        if len(self._healths) == 1:
+            numbers = [*command.numbers()[:-1], hold]
+        else:
+            numbers = []
+            for row in command:
+                numbers += row.numbers()
+                numbers[-1] = hold
+        self._publish_command(numbers)
         if hold:
             self._holds.add(hold)
 

@@ -28,6 +28,7 @@ from typing import Any
 
 from dz_ros.core.axes_keys import axis_key
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.records import Truth
 from dz_ros.core.safety.health import Report
 from dz_ros.core.schema import parameter
 from dz_ros.drivers.contract import Driver
@@ -208,6 +209,11 @@ class Joint(Driver):
     def safe(self, v: float, t: float) -> None:  # noqa: ARG002
         """Publish v as `command` does, and again every `REPEAT_PERIOD` until the next command."""
         self.group.give(self._place, v, safe=True)
+
+    def advance(self, t: float, seq: int) -> Truth | None:  # noqa: ARG002
+        """Learn when samples end: what is measured is brought there."""
+        self.group.advance(self._place, t)
+        return None
 
     def measure(self) -> tuple[float, ...] | None:
         """Return position and, if wanted, velocity, shape (measured,); None if none is fresh."""

@@ -7,6 +7,8 @@
 The host calls the drivers axis by axis. What it gives them goes out as one message when the last
 of them has been given its own; what it measures of one sample is one message, taken when the first
 of them is asked.
+
+Over 300 lines: lifecycle, commands and measurements of the joints are one object's.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from typing import Any
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.safety.health import Level, Report
 from dz_ros.drivers.freshness import Freshness
+from dz_ros.drivers.phase import Phase
 from dz_ros.errors import DriverError, MissingDependencyError
 from dz_ros.nodes.joint_controller import ForwardingController
 from dz_ros.nodes.joint_states import JointSample, JointStates
@@ -59,7 +62,8 @@ class JointGroup:
         self._given: set[int] = set()       # since the last message
         self._safe: set[int] = set()        # whose command is the safe one
         self._sent_at = self._since = 0.0
-        self._measuring, self._judging = _Round(), _Round()
+        self._measuring, self._judging, self._advancing = _Round(), _Round(), _Round()
+        self._phase = Phase(each[0].loop.period)
         self._sample: JointSample | None = None
         self._asked_at = 0.0
         self._fault = ''
@@ -170,6 +174,11 @@ class JointGroup:
         if self._given >= self._enabled:
             self._send()
 
+    def advance(self, place: int, t: float) -> None:
+        """Learn when samples end: what is measured is brought there."""
+        if self._advancing.begins(place):
+            self._phase.sample_ended(time.monotonic(), t)
+
     def measure(self, place: int) -> tuple[float, ...] | None:
         """Return position and, if wanted, velocity of a joint; None if none is fresh.
 
@@ -186,7 +195,8 @@ class JointGroup:
         if not self._each[place].driver_parameters.extrapolate:
             return x
         velocity = x[1] if len(x) > 1 else self.states.velocity(place)
-        return (freshness.advanced(x[0], velocity, self._asked_at - sample.taken), *x[1:])
+        return (freshness.advanced(x[0], velocity,
+                                   self._phase.near(self._asked_at) - sample.taken), *x[1:])
 
     def fault(self, place: int) -> str:
         """Return what is wrong with a joint or the controller; '' = nothing."""

@@ -26,7 +26,7 @@ from typing import Any
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.counted_log import Counted
 from dz_ros.core.text import LONGEST, printable
-from dz_ros.drivers.freshness import Freshness
+from dz_ros.drivers.freshness import BASELINE, Freshness
 from dz_ros.nodes.joint_sources import JointSources
 
 QUEUE_DEPTH = 10
@@ -40,8 +40,6 @@ CLOCK_SET = 1.0
 TAKEN, OTHERS, UNAGED = ('joint states', 'joint states of others',
                          'joint states whose stamp is of another clock, or late')
 """What is counted without being a fault: several broadcasters may share the topic."""
-BASELINE = 4
-"""Samples over which a velocity that is not measured is taken, to advance the position."""
 
 
 @dataclass(frozen=True)

@@ -91,16 +91,23 @@ class SqliteFile:
             whole = self._whole(database)
             self._define(database)
             if whole:
-                yield from self._rows(database, f'{"WHERE timestamp >= ?" if self._since else ""} '
-                                      'ORDER BY timestamp, id',
-                                      *([self._since] if self._since else []))
+                where = 'WHERE timestamp >= ?' if self._since else ''
+                if not self._disordered(database):
+                    rows = f'messages NOT INDEXED {where} ORDER BY id'
+                elif self._numbered(database):      # numbers are sorted, not what they stand for
+                    rows = (f'(SELECT id AS number FROM messages NOT INDEXED {where} ORDER BY '
+                            'timestamp, id LIMIT -1) CROSS JOIN messages NOT INDEXED '
+                            'ON messages.id = number')
+                else:
+                    rows = f'messages NOT INDEXED {where} ORDER BY timestamp, id'
+                yield from self._rows(database, rows, *([self._since] if self._since else []))
                 return
             reached = -1
-            for batch in self._rows(database, 'WHERE id > ? ORDER BY id', -1):
+            for batch in self._rows(database, 'messages WHERE id > ? ORDER BY id', -1):
                 reached = self._reached
                 yield batch
             rest = [item for batch in self._rows(
-                database, 'WHERE id > ? ORDER BY id DESC', reached) for item in batch]
+                database, 'messages WHERE id > ? ORDER BY id DESC', reached) for item in batch]
             if rest:
                 yield rest[::-1]
 
@@ -163,6 +170,27 @@ class SqliteFile:
             self._damaged(' '.join(found.split()))
         return found == 'ok'
 
+    @staticmethod
+    def _disordered(database: sqlite3.Connection) -> bool:
+        """Return whether times go back from one number to the next, as they do in some bags.
+
+        The index of times is not asked, here or later: nothing shows whether it is damaged but
+        reading all it leads to.
+        """
+        back = database.execute(
+            'SELECT 1 FROM (SELECT timestamp AS time, lag(timestamp) OVER (ORDER BY id) AS before '
+            'FROM messages NOT INDEXED) WHERE time < before OR time IS NULL LIMIT 1')
+        return back.fetchone() is not None
+
+    @staticmethod
+    def _numbered(database: sqlite3.Connection) -> bool:
+        """Return whether a message is found by its number without an index, as rosbag2 has it."""
+        keys = [row[1:3] for row in database.execute('PRAGMA table_info(messages)') if row[5]]
+        (text,), = database.execute("SELECT sql FROM sqlite_master WHERE name = 'messages'")
+        words = text.upper().split()
+        return [(name, kind.upper()) for name, kind in keys] == [('id', 'INTEGER')] and not (
+            {'WITHOUT', 'DESC'} & set(words))
+
     def _define(self, database: sqlite3.Connection) -> None:
         """Take in topics, definitions and metadata."""
         def columns(table: str, *wanted: str) -> str:
@@ -197,7 +225,7 @@ class SqliteFile:
                 name, str(kind or ''), str(encoding or 'cdr'), *definition, qos or '',
                 type_hash or ''))
 
-    def _rows(self, database: sqlite3.Connection, which: str, *limit: int
+    def _rows(self, database: sqlite3.Connection, rows: str, *limit: int
               ) -> Iterator[list[Message]]:
         """Yield the messages of a query, as far as it goes."""
         found: list[Message] = []
@@ -206,7 +234,7 @@ class SqliteFile:
         try:
             for number, topic_id, time, data, length in database.execute(
                     "SELECT id, topic_id, timestamp, CASE WHEN typeof(data) = 'blob' AND "
-                    f'length(data) <= {LARGEST} THEN data END, length(data) FROM messages {which}',
+                    f'length(data) <= {LARGEST} THEN data END, length(data) FROM {rows}',
                     limit):
                 self._reached = number
                 key = self._keys.get(topic_id)

@@ -28,6 +28,7 @@ from dz_ros.report.style import (
     styled,
 )
 from dz_ros.report.view import View
+from dz_ros.runs.axes import axis_name
 
 Array = NDArray[np.float64]
 
@@ -72,7 +73,8 @@ def compare(runs: Mapping[str, RunData], *, window: tuple[float, float] | None =
             pulse: float | None = None, tolerance: float | None = None) -> Comparison:
     """Return at least two runs side by side; the arguments are those of `View.of`.
 
-    `tolerance` is that of the first run where none is given, the same for all of them.
+    `tolerance` is that of the first run where none is given, the same for all of them; of runs of
+    different axes, whose units and ranges differ, that of the first run of each axis.
 
     Raises:
         ConfigurationError: Fewer than two runs, or a window that is not one in each of them.
@@ -80,10 +82,14 @@ def compare(runs: Mapping[str, RunData], *, window: tuple[float, float] | None =
     """
     if len(runs) < 2:
         raise ConfigurationError('runs', list(runs), 'must be at least two to compare')
+    several = len({axis_name(run) for run in runs.values()} - {''}) > 1
     views: dict[str, View] = {}
+    first: dict[str, float] = {}
     for name, run in runs.items():
-        views[name] = View.of(run, window=window, pulse=pulse, tolerance=tolerance)
-        tolerance = views[name].metrics.tolerance
+        axis = axis_name(run) if several else ''
+        views[name] = View.of(run, window=window, pulse=pulse, tolerance=(
+            first.get(axis) if tolerance is None else tolerance))
+        first.setdefault(axis, views[name].metrics.tolerance)
     return Comparison(views)
 
 

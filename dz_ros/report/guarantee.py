@@ -11,6 +11,7 @@ law with a robust term.
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,9 +19,11 @@ import numpy as np
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.assumptions import check_dead_zone, same_slope
 from dz_ros.core.design.finding import INFO
+from dz_ros.core.design.observation import observed_state
 from dz_ros.core.design.robust_gain import RobustGain
 from dz_ros.core.safety.health import CHATTER, variation_share
 from dz_ros.core.tracking import guaranteed_bounds
+from dz_ros.errors import DzRosError
 from dz_ros.report.view import View
 from dz_ros.runs.metrics import choose_window
 
@@ -134,9 +137,19 @@ def _covered(view: View) -> str:
     return f'{gain.words}; this run had {largest:.4g} of it{gain.beside(largest)}.'
 
 
+def _observed(view: View) -> str:
+    """Return which state was observed; '' where none was, or the device's driver is not here."""
+    with contextlib.suppress(DzRosError):   # the view's own configuration has no driver
+        return observed_state(Configuration.from_untrusted(view.setting.flat, driven=True))
+    return ''
+
+
 def _beyond(view: View, c: Configuration) -> tuple[str, ...]:
     """Return what the theorem does not cover and this run has."""
     found = [f'Sampling: the law runs every {1e3 * c.loop.period:g} ms, not continuously.']
+    observed = _observed(view)
+    if observed:
+        found.append(f'{observed}; the theorem takes all states as measured.')
     if any(len(set(c.dead_zone.extent(name, c.loop.schedule))) > 1 for name in ('b_r', 'b_l')):
         found.append('b_r or b_l drifts: with a constant slope and within the bounds the theorem '
                      'covers that, ρ bounds d(v) all the same.')

@@ -12,10 +12,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+from dz_ros.core.axes import is_name, spoken
 from dz_ros.core.axes_keys import axis_seed, is_machines, parts, section_of
 from dz_ros.core.dataset import RunData
 from dz_ros.core.events import ConfigurationEvent, EventError, parse
 from dz_ros.errors import RecordingError, suggestion
+
+ONE_AXIS = 'one axis, without a name'
+CUT_FROM = 'axes'
+"""Key of the info of one axis of a run of several: names of all of them; absent = it ran alone."""
 
 
 def axis_flat(flat: Mapping[str, Any], axis: str) -> dict[str, Any]:
@@ -37,21 +42,47 @@ def axis_flat(flat: Mapping[str, Any], axis: str) -> dict[str, Any]:
     return {**found, **own}
 
 
+def axis_name(run: RunData) -> str:
+    """Return the name of the axis of a run of one axis; '' = it has several, or none is stated.
+
+    It is stated by the description (`info['axis']`) of one axis of a machine, and else by the
+    configuration (`loop.axes`).
+    """
+    if run.axes:
+        return ''
+    stated = run.configuration.get('loop.axes')
+    name: Any = run.info.get('axis')
+    if name is None and isinstance(stated, (list, tuple)) and len(stated) == 1:
+        name = stated[0]
+    return name if isinstance(name, str) and is_name(name) else ''
+
+
+def named_axis(run: RunData, axis: str | None) -> RunData:
+    """Return a run of one axis that ran alone, with the name of the axis; None or '' = none."""
+    return replace(run, info={**run.info, 'axis': axis}) if axis else run
+
+
+def _alone(run: RunData) -> str:
+    """Return what a run of one axis is of, as text."""
+    name = axis_name(run)
+    return f'axis {name} alone' if name else ONE_AXIS
+
+
 def axis_run(run: RunData, axis: str) -> RunData:
     """Return the run of one axis.
 
     Args:
-        run: A run of several axes.
+        run: A run of several axes, or of this one alone.
         axis: Name of the axis.
 
     Raises:
         RecordingError: The run has no such axis, or a topic with messages of others.
     """
     names = run.axes
-    if not names and list(run.configuration.get('loop.axes') or ()) == [axis]:
+    if not names and axis and axis_name(run) == axis:
         return run      # the messages of one axis do not name it
     if axis not in names:
-        known = f'it has {", ".join(names)}' if names else 'it is of one axis, without a name'
+        known = f'it has {", ".join(names)}' if names else f'it is of {_alone(run)}'
         raise RecordingError(f'the run has no axis {axis}: {known}{suggestion(axis, names)}')
     for name, channel in run.channels.items():
         if len(channel) and axis not in channel.axes:
@@ -59,7 +90,7 @@ def axis_run(run: RunData, axis: str) -> RunData:
             raise RecordingError(f'the messages of {name} are of {found}, the run has axes '
                                  f'{", ".join(names)}: not recorded of one loop')
     configuration = axis_flat(run.configuration, axis)
-    info = {**run.info, 'axis': axis}
+    info = {**run.info, 'axis': axis, CUT_FROM: ', '.join(names)}
     for name, key in (('plant', 'plant.model'), ('law', 'controller.law')):
         if key in configuration:
             info[name] = str(configuration[key])
@@ -93,6 +124,37 @@ def each_axis(run: RunData) -> dict[str, RunData]:
     return {name: axis_run(run, name) for name in run.axes} or {'': run}
 
 
+def same_axes(runs: Mapping[str, RunData]) -> dict[str, dict[str, RunData]]:
+    """Return axis → name → run of this axis, in the order of the first run's axes.
+
+    Args:
+        runs: Name → run; the axes of a later run may be in another order. None at all = one axis,
+            '', without runs.
+
+    Raises:
+        RecordingError: The runs have not the same axes.
+    """
+    each = {name: each_axis(run) for name, run in runs.items()}
+    if not each:
+        return {'': {}}
+    first = next(iter(each))
+    for name, axes in each.items():
+        if axes.keys() == each[first].keys():
+            continue
+        both = bool(runs[first].axes and runs[name].axes)
+        alone = [(first, [axis for axis in each[first] if axis not in axes]),
+                 (name, [axis for axis in axes if axis not in each[first]])]
+        known = {*runs[first].axes, *runs[name].axes}
+        choices = [axis_name(runs[item]) for item in (first, name)
+                   if axis_name(runs[item]) in known]
+        raise RecordingError('the runs must have the same axes: ' + ', '.join(
+            f'{"only " if both else ""}{item} has '
+            f'{spoken(names) if names[0] else _alone(runs[item])}'
+            for item, names in alone if names)
+            + (f'; choose it with --axis {choices[0]}' if choices else ''))
+    return {axis: {name: axes[axis] for name, axes in each.items()} for axis in each[first]}
+
+
 def choose_axis(run: RunData, axis: str | None) -> RunData:
     """Return the run of the axis asked for, or the only one.
 
@@ -105,11 +167,15 @@ def choose_axis(run: RunData, axis: str | None) -> RunData:
     return run
 
 
-def require_one(run: RunData) -> None:
+def require_one(run: RunData, choice: str = '--axis') -> None:
     """Refuse a run of several axes.
+
+    Args:
+        run: The run.
+        choice: What chooses one of its axes, for the message.
 
     Raises:
         RecordingError: It is.
     """
     if run.axes:
-        raise RecordingError(f'the run has axes {", ".join(run.axes)}; choose one with --axis')
+        raise RecordingError(f'the run has axes {", ".join(run.axes)}; choose one with {choice}')

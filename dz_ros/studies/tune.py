@@ -21,9 +21,10 @@
 
 The gains of `robust_eso` follow its own rules (`dz_ros.core.laws.robust_eso_gains`), those for an
 encoder where the velocity is not measured; K0 and all that follows it are lowered, then ω_o, until
-the same rules are kept, with a sample of delay to spare where the actuator is a device; its start
-is slowed down until it keeps the effort. Where no K0 keeps them the proposal is the steepest
-one, with what `dz check` warns of.
+the same rules are kept, with a sample of delay to spare where the actuator is a device. An
+observed velocity takes a faster observer than by rule where that allows a steeper K0 and noise
+leaves v calm. The start is slowed down until it keeps the effort. Where no K0 keeps them the
+proposal is the steepest one, with what `dz check` warns of.
 c gives the order of the paper's gains on the paper's example. a_i are those of the plant's model:
 where they are guesses, widen θ's bounds. Nothing here is optimal; it is safe to start from.
 
@@ -43,6 +44,7 @@ from dz_ros.core.design.finding import Finding, INFO
 from dz_ros.core.design.observation import (
     linear_observer,
     measured_steps,
+    observed_noise,
     sensor_noise,
     state_noise,
 )
@@ -55,6 +57,7 @@ from dz_ros.core.design.rules import check, derives_epsilon
 from dz_ros.core.design.stability import lambda_limit
 from dz_ros.core.laws.base import Design
 from dz_ros.core.laws.robust_eso_gains import (
+    ALLOWED,
     gains_by_rule,
     gains_for_encoder,
     OBSERVER_RATE,
@@ -81,6 +84,10 @@ FOLLOW_GAIN = ('layer_gain', 'lambda', 'start_rate', 'observer_rate', 'k_2')
 """Gains of `robust_eso` that are shares of K0."""
 SLOWER_OBSERVERS = (1.0, 0.67, 0.42)
 """Shares of ω_o that are tried where no K0 keeps the rules."""
+FASTER_VELOCITIES = (1.0, 1.4, 2.0, 2.8)
+"""Multiples of the rule's ω of an observed velocity that are tried."""
+WORTH = 1.03
+"""A faster one is taken where it allows this many times the K0."""
 ROOM_OF_LAMBDA = 1.25
 """Multiple of λ up to which its limit is searched; `check` warns of one nearer."""
 SLOT, NOISE = 0.3, 0.1
@@ -115,12 +122,13 @@ def tune(c: Configuration, effort: float = 0.0, disturbance: float | None = None
 
     Args:
         c: What is known: bounds, rate, delay, reference, plant; a law with a robust gain k*.
-        effort: Largest |v| allowed [actuator unit]; 0 = the actuator's limit, where it has none
-            what the configuration takes now, a tenth more.
+        effort: Largest |v| allowed [actuator unit], at most the actuator's limit; 0 = that one,
+            where it has none what the configuration takes now, a tenth more.
         disturbance: Largest disturbance [unit of x^(n)]; None = the model's along the reference.
 
     Raises:
-        ConfigurationError: A law without k* or of all axes, or no λ keeps within the effort.
+        ConfigurationError: A law without k* or of all axes, a disturbance that the effort cannot
+            hold, or no λ keeps within the effort.
     """
     if c.law.coupled:
         raise ConfigurationError('controller.law', c.law.name, 'is a law of all axes, its gains '
@@ -130,8 +138,13 @@ def tune(c: Configuration, effort: float = 0.0, disturbance: float | None = None
     if 'k_star' not in names or c.law.design is None:
         raise ConfigurationError('controller.law', c.law.name, 'has no k* to tune; choose robust, '
                                  'wang2004 or extended')
-    effort = effort or c.plant_settings.command_limit or _present_peak(c)
+    limits = [item for item in (effort, c.plant_settings.command_limit) if item]
+    effort = min(limits) if limits else _present_peak(c)
     delta = disturbance_along_reference(c) if disturbance is None else disturbance
+    least = c.controller_settings.b_bounds[0] * c.controller_settings.m_bounds[0]
+    if limits and disturbance is not None and delta > least * effort > 0.0:
+        raise ConfigurationError('--disturbance', delta, f'needs |v| = {delta / least:.4g} by the '
+                                 f'least b m = {least:.4g}, --effort = {effort:.4g}')
     if {'layer_gain', 'observer_rate', 'start_rate'} <= names:
         return _proposal(c, *_with_observer(c, c.law.design, delta, effort))
     values = _from_rules(c, c.law.design, delta)
@@ -252,7 +265,7 @@ def _with_observer(c: Configuration, design: Design, delta: float,
         'phi_0': 'middle of 1/(b m)', 'theta_0': 'a_i of the model times the middle',
         'v_max': "the actuator's limit"}
     if driver.measured < c.plant.order:
-        sigma = sensor_noise(c, driver.resolution)
+        sigma = sensor_noise(c, measured_steps(driver))
         gains |= gains_for_encoder(period, sigma, high, gains['input_gain'], k_star, delay)
         gains['k_d'] = min(gains['k_d'], gains['layer_gain'] / 6.0)
         for key in FOLLOW_GAIN:
@@ -260,7 +273,7 @@ def _with_observer(c: Configuration, design: Design, delta: float,
     changes, by_sensor = {f'controller.{key}': item for key, item in gains.items()}, dict(gains)
     if driver.measured < c.plant.order:
         changes['driver.observer'] = 0.0
-    changes |= _calmest(c, changes)
+    changes |= _calmest(c, changes, driver.measured < c.plant.order)
     gains |= {key: changes[f'controller.{key}'] for key in gains}
     for key in FOLLOW_GAIN:
         if gains[key] < by_sensor[key]:
@@ -269,7 +282,9 @@ def _with_observer(c: Configuration, design: Design, delta: float,
                 reasons[key] += f', calm at delay {loop_delays(c)[-1]} too'
     if driver.measured < c.plant.order:
         rate = OBSERVER_RATE * gains['layer_gain'] * gains['input_gain']
-        reasons['driver.observer'] = f'0 = by rule, {rate:.4g} rad/s'
+        faster = changes['driver.observer'] / rate
+        reasons['driver.observer'] = (f'{faster:.2g} times the rule, for a steeper K0' if faster
+                                      else f'0 = by rule, {rate:.4g} rad/s')
     changed = {key if '.' in key else f'controller.{key}': why for key, why in reasons.items()
                if f'controller.{key}' in changes or key in changes}
     smallest = float('inf')
@@ -287,21 +302,54 @@ def _with_observer(c: Configuration, design: Design, delta: float,
                              'more')
 
 
-def _calmest(c: Configuration, changes: dict[str, Any]) -> dict[str, Any]:
-    """Return the gains of `robust_eso` that follow K0, lowered until they suit, by key."""
+def _calmest(c: Configuration, changes: dict[str, Any], observed: bool) -> dict[str, Any]:
+    """Return the gains of `robust_eso` that follow K0, lowered until they suit, by key.
+
+    Where the velocity is observed and the noise of the sensor is known, with the observer that
+    allows the largest K0 while noise puts no more into v than the rule for encoders allows, and of
+    those with nearly as large a K0 the slowest. A noisier one is better than none that suits.
+    """
+    best: dict[str, Any] = {}
+    noisy: dict[str, Any] = {}
+    known = observed and sensor_noise(c, measured_steps(c.make_driver())) > 0.0
+    for faster in FASTER_VELOCITIES if known else (1.0,):
+        found = _calmest_with(c, changes, faster, observed)
+        if not found:
+            continue
+        if faster > 1.0 and not _quiet(c.replace(**{**changes, **found})):
+            noisy = noisy or found
+        elif not best or (
+                found['controller.layer_gain'] > WORTH * best['controller.layer_gain']):
+            best = found
+    return best or noisy
+
+
+def _quiet(c: Configuration) -> bool:
+    """Return whether what the observed velocity passes puts little noise into v."""
+    noise = observed_noise(c, measured_steps(c.make_driver()))
+    return bool(c.law.gains.layer_gain * noise <= ALLOWED * c.law.gains.k_star)
+
+
+def _calmest_with(c: Configuration, changes: dict[str, Any], faster: float,
+                  observed: bool) -> dict[str, Any]:
+    """Return these gains with a multiple of the rule's ω; none if they suit at no K0."""
     keys = tuple(f'controller.{key}' for key in FOLLOW_GAIN)
+    rate = faster * OBSERVER_RATE * changes['controller.input_gain'] if faster != 1.0 else 0.0
     for slower in SLOWER_OBSERVERS:
         def made(share: float, slower: float = slower) -> Configuration:
             scaled = {key: share * changes[key] for key in keys}
             scaled['controller.observer_rate'] *= slower
             scaled['controller.k_d'] = min(changes['controller.k_d'],
                                            scaled['controller.layer_gain'] / 6.0)
+            if observed:
+                scaled['driver.observer'] = rate * scaled['controller.layer_gain']
             return c.replace(**{**changes, **scaled})
 
         found = settled(made)
         if suits(found):
             flat = found.to_flat()
-            return {key: flat[key] for key in (*keys, 'controller.k_d')}
+            return {key: flat[key] for key in (*keys, 'controller.k_d',
+                                               *(('driver.observer',) if observed else ()))}
     return {}
 
 

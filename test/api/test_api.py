@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The Python API as a script uses it."""
+"""The Python API as a script uses it.
+
+Over 300 lines: all public names, on runs that are made once.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,9 +16,16 @@ import numpy as np
 import pytest
 
 import dz_ros as dz
+from dz_ros.core.dataset import from_runs
+from dz_ros.core.loop.coupled import simulate_axes
 from dz_ros.core.loop.offline import simulate
 from dz_ros.core.plants.servo import Servo
-from dz_ros.errors import ConfigurationError, RunExistsError, UnknownNameError
+from dz_ros.errors import (
+    ConfigurationError,
+    RecordingError,
+    RunExistsError,
+    UnknownNameError,
+)
 from dz_ros.files.configurations import find_configuration, load_configuration
 
 SHORT = {'loop.duration': 2.0}
@@ -50,6 +60,12 @@ class Mass(dz.Plant):
     def regressors(x: Sequence[float], p: Sequence[float], y: Any) -> None:
         """Write the velocity."""
         y[0] = x[1]
+
+
+class Swing(type(dz.load('wang2004').trajectory)):
+    """A sinusoid of a script."""
+
+    name = 'swing_of_a_script'
 
 
 def test_importing_loads_neither_numpy_nor_ros_and_every_name_is_there():
@@ -203,11 +219,45 @@ def test_of_several_axes_a_key_without_axis_changes_all_and_one_is_chosen():
     assert dz.simulate(machine.axis('b'), SHORT).configuration.law.gains.lambda_ == 2.0
 
 
+def test_recordings_of_several_axes_are_compared_axis_by_axis(tmp_path):
+    for name, delay in (('a', 0), ('b', 1)):
+        c = dz.load('rov_planar', {'loop.duration': 0.5, 'loop.delay': delay})
+        dz.Run(from_runs(simulate_axes(c), c)).save(tmp_path / name)
+    a, b = dz.read(tmp_path / 'a'), dz.read(tmp_path / 'b')
+    assert a.axes == ('surge', 'sway', 'yaw')
+    assert repr(a) == '<Run a: axes surge, sway, yaw>'
+    assert len(a) == len(a.axis('yaw')) == 101
+    assert not a.axis('yaw').axes
+    with pytest.raises(RecordingError, match=r'choose one with axis\(\)'):
+        _ = a.metrics
+    with pytest.raises(RecordingError, match=r'has no axis jaw.*did you mean yaw'):
+        a.axis('jaw')
+    found = dz.compare(a, b)
+    assert isinstance(found, dz.AxesComparison)
+    assert list(found) == list(a.axes)
+    one = dz.compare(dz.read(tmp_path / 'a', axis='yaw'), dz.read(tmp_path / 'b', axis='yaw'))
+    assert found['yaw'].rows == one.rows
+    assert found['yaw'].differences == [['loop.delay', '0', '1']]
+    assert repr(found).count('max |x̃|') == 3
+    assert f'axis yaw\n{one!r}' in repr(found)
+    with pytest.raises(RecordingError, match=(
+            'a has axes surge, sway, yaw, other has axis yaw alone; choose it with --axis yaw')):
+        dz.compare(a, b.axis('yaw'), names=('a', 'other'))
+    with pytest.raises(ConfigurationError, match='at least two'):
+        dz.compare(a)
+    table = pytest.importorskip('pandas') and found.to_pandas()
+    assert table.index.names == ['axis', 'run']
+    assert table.loc[('yaw', 'b'), 'error_max'] == b.axis('yaw').metrics.error_max
+
+
 def test_a_class_of_a_script_is_a_plant():
     run = dz.simulate({'plant.model': Mass, 'controller.b_bounds': [1.5, 2.5]}, SHORT)
     assert run.configuration.plant.name == Mass.name
     assert run.metrics.error_max < 0.1
     dz.load({'plant.model': Mass})      # again
+    c = dz.load('six_axes', {'axes.yaw.trajectory.kind': Swing})
+    assert c.axis('yaw').trajectory.name == Swing.name
+    assert c.axis('roll').trajectory.name != Swing.name
     assert dz.load({'plant.model': Servo}).plant.name == 'servo'    # one of the package
 
     with pytest.raises(UnknownNameError, match='another plant'):

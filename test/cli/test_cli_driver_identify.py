@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`dz driver identify`: asks, moves, stops, prints, writes; and reads runs."""
+"""`dz driver identify`: asks, moves, stops, prints, writes; and reads runs.
+
+Over 300 lines: one device and its moves serve all of it.
+"""
 
 import json
 import os
@@ -13,6 +16,7 @@ from dz_ros.cli.main import main
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
 from dz_ros.core.loop.offline import simulate
+from dz_ros.recording.reader import read_run
 from dz_ros.recording.save import save_run
 
 LIMITS = ('--travel', '1.5', '--speed', '1', '--effort', '4')
@@ -46,6 +50,24 @@ class Device(SimulatedActuator):
         commanded.append('disabled')
         if os.environ.get('STUCK'):
             raise DriverError('the relay is stuck')
+
+
+class AtOnce(Device):
+    """As fast as it can."""
+
+    name = 'at_once'
+    lockstep = True
+
+
+class Blinking(AtOnce):
+    """Has no measurement in one of eleven samples."""
+
+    name = 'blinking'
+    asked = 0
+
+    def measure(self):
+        self.asked += 1
+        return super().measure() if self.asked % 11 else None
 '''
 
 
@@ -88,6 +110,26 @@ def test_from_device_to_ready_configuration_and_again_from_its_run(tmp_path, cap
     # Neither is ever overwritten.
     assert main(['driver', 'identify', '--from', str(out / 'run'), '--out', str(again)]) == 2
     assert 'exists already' in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_short_holes_are_filled_counted_and_still_holes_in_the_recording(tmp_path, capsys, device):
+    out = tmp_path / 'found'
+    words = ('servo', *QUIET, '--set', 'loop.rate=100', '--repeats', '4', '--set',
+             'driver.name=a_device:Blinking')
+    assert main(['driver', 'identify', *words, *LIMITS, '--yes', '--out', str(out)]) == 0
+    line = next(line for line in capsys.readouterr().out.splitlines() if 'not measured' in line)
+    filled, of = (int(word) for word in line.split() if word.isdigit() and int(word) > 20)
+    assert filled == pytest.approx(of / 11, abs=2)
+    state = read_run(out / 'run').channels['state']
+    assert len(state) == of - filled
+    numbers = json.loads((out / 'identified.json').read_text())['parameters']
+    again = tmp_path / 'again'
+    assert main(['driver', 'identify', '--from', str(out / 'run'), '--out', str(again),
+                 '--allow-import', 'a_device']) == 0
+    assert line in capsys.readouterr().out
+    for name, item in json.loads((again / 'identified.json').read_text())['parameters'].items():
+        assert item['value'] == pytest.approx(numbers[name]['value'], rel=2e-2)
 
 
 @pytest.mark.slow
@@ -172,6 +214,21 @@ def test_after_ctrl_c_a_device_that_may_have_power_is_reported(tmp_path, monkeyp
         'dz: interrupted: letting the device go failed: the relay is stuck; nothing is kept; the '
         'same command begins again\n')
     assert device.commanded[100:] == [('safe', 0.0), 'disabled']
+
+
+@pytest.mark.slow
+def test_complete_moves_are_kept_where_the_device_cannot_be_let_go(tmp_path, monkeypatch, capsys,
+                                                                   device):
+    monkeypatch.setenv('STUCK', '1')
+    out = tmp_path / 'found'
+    assert main(['driver', 'identify', 'servo', *QUIET, *LIMITS, '--yes', '--out', str(out),
+                 '--set', 'driver.name=a_device:AtOnce', '--set', 'loop.rate=100',
+                 '--repeats', '4']) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == (
+        'dz: error: letting the device go failed: the relay is stuck; the moves are kept in '
+        f'{out}/run; dz driver identify --from {out}/run goes on')
+    assert main(['driver', 'identify', '--from', str(out / 'run'), '--allow-import', 'a_device',
+                 '--out', str(tmp_path / 'again')]) == 0
 
 
 @pytest.mark.parametrize(('number', 'code', 'printed'), [

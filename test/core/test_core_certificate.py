@@ -173,6 +173,17 @@ def test_runs_inside_the_assumptions_stay_below_the_bound(example, at):
 
 
 @SLOW
+def test_runs_of_robust_inside_the_assumptions_stay_below_its_bound_too():
+    configuration = load_configuration('robust', [PERIOD])
+    found = certify(configuration)
+    for bounds in found.delays:
+        most = np.zeros(2)
+        for run in random_runs(configuration, found, bounds.delay, 1000, seed=7):
+            most = np.maximum(most, reached(run))
+        assert (most <= bounds.error_bound).all()
+
+
+@SLOW
 def test_constructed_input_comes_within_twice_the_bound(example):
     """The dead-zone's residual, switched by the sign of the impulse response, drives the law."""
     configuration, found = example

@@ -9,6 +9,8 @@ import pytest
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.finding import INFO, WARNING
 from dz_ros.core.design.guard_noise import check_guard, noise_in_s
+from dz_ros.core.design.linear_loop import largest_beta
+from dz_ros.core.design.observation import measured_steps
 from dz_ros.core.design.rules import check
 from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.core.loop.offline import simulate
@@ -36,6 +38,26 @@ def test_the_rule_is_what_simulation_shows(law):
         kappas.append(simulate(c).terms[-1, place])
     assert kappas[0] == 1.0
     assert kappas[1] < 1.0
+
+
+@pytest.mark.parametrize('delay', [0, 1])
+def test_near_its_limit_the_loop_amplifies_the_noise_and_the_guard_steps(delay):
+    """One K and one noise, ε = 5.7 σ_s; only b m differs."""
+    own = Configuration.from_flat({'controller.law': 'robust_eso', 'loop.delay': delay,
+                                   'plant.noise': [1e-3, 1e-2], 'loop.duration': 15.0})
+    limit = largest_beta(own.law.layer_model(), own.loop.period, delay)
+    place = STATUS + 1 + list(own.law.signal_names).index('kappa_f')
+    for share, level, least in ((0.6, INFO, 3.0), (0.96, WARNING, 0.0)):
+        beta = share * limit
+        c = own.replace(**{'plant.b': beta / own.dead_zone.m_r, 'controller.m_bounds': [1.0, 1.0],
+                           'controller.b_bounds': [0.5 * limit, beta]})
+        finding, = check_guard(c, 2, (0.0, 0.0))
+        assert finding.level == level
+        assert finding.numbers['ratio'] == pytest.approx(4.0 * math.sqrt(2.0))
+        assert least <= finding.numbers['loop_ratio'] < least + 3.0
+        kappas = [simulate(c.replace(**{'loop.seed': seed})).terms[-1, place] for seed in (0, 1)]
+        assert (min(kappas) == 1.0) == (level == INFO)
+        assert ('narrow the bounds of b m' in finding.change) == (level == WARNING)
 
 
 def test_what_it_does_not_see_is_stated_by_dz_check():
@@ -70,6 +92,29 @@ def test_steps_of_each_measured_state_are_noise_in_s():
     device = c.replace(**{'plant.resolution': 0.0, 'plant.derivative_resolution': [],
                           'driver.resolution': 1e-3, 'driver.derivative_resolution': [0.01]})
     assert [item for item in check(device) if item.rule == 'guard'] == [finding]
+
+
+def test_steps_of_what_a_third_state_is_observed_from_are_noise_in_s():
+    sigma = 1e-3
+    flat = {'plant.model': 'valve_actuator', 'controller.law': 'robust_eso', 'driver.measured': 2}
+    ways = ({'plant.derivative_resolution': [sigma * math.sqrt(12.0)]},
+            {'plant.noise': [0.0, sigma, 0.0]})
+    findings = []
+    for way in ways:
+        c = Configuration.from_flat(flat | way)
+        findings.append(next(check_guard(c, 2, measured_steps(c.make_driver()))).numbers)
+    assert findings[0]['noise'] == pytest.approx(findings[1]['noise'])
+    assert findings[0].get('loop_noise') == pytest.approx(findings[1].get('loop_noise'))
+
+
+def test_where_the_loop_is_not_calm_that_is_stated():
+    c = Configuration.from_flat({'controller.law': 'robust_eso', 'loop.delay': 2,
+                                 'plant.noise': [1e-3, 1e-2]})
+    finding, = check_guard(c, 2, (0.0, 0.0))
+    assert finding.level == INFO        # the rule of chatter warns
+    assert 'the closed loop is not calm at b m = ' in finding.words
+    c = c.replace(**{'controller.layer_gain': 1e308})
+    assert any(item.rule == 'chatter' for item in check(c))
 
 
 @pytest.mark.parametrize('fast', [False, True])

@@ -13,6 +13,7 @@ from dz_ros.core.design.linear_loop import (
     largest_beta,
     largest_gain,
     loop_matrix,
+    noise_of_surface,
     noise_variation,
     spectral_radius,
     surface_model,
@@ -22,6 +23,7 @@ from dz_ros.core.laws.robust import Robust
 from dz_ros.core.laws.robust_eso import RobustEso
 from dz_ros.core.observers import Luenberger
 from dz_ros.core.signals import STATUS
+from dz_ros.core.tracking import error_weights
 
 T = 0.005
 
@@ -37,6 +39,13 @@ CONDITIONS = [(name, {'v_clip': 0.0} if hasattr(LAWS.load(name).Gains, 'v_clip')
     ('extended', {'integral': True}), ('robust_eso', {'observer': False}),
     ('robust_eso', {'design_delay': 0}), ('robust_eso', {'design_delay': 2})]
 """Laws and switches; the weights of `neural` move in the layer with v, which is no linear step."""
+
+
+def held(x, push):
+    """Return the state of a chain of integrators a sample later, its input held."""
+    order = len(x)
+    return np.array([sum(T ** (j - i) / math.factorial(j - i) * x[j] for j in range(i, order))
+                     + T ** (order - i) / math.factorial(order - i) * push for i in range(order)])
 
 
 def make(law_class, order=2, count=2, **values):
@@ -120,14 +129,45 @@ def test_the_variation_under_noise_is_that_of_the_impulse_responses(order, delay
             z = model.a @ z + model.b @ measured
             line.append(v)
             acts = line.pop(0)
-            x = np.array([sum(T ** (j - i) / math.factorial(j - i) * x[j]
-                              for j in range(i, order))
-                          + beta * T ** (order - i) / math.factorial(order - i) * acts
-                          for i in range(order)])
+            x = held(x, beta * acts)
             square += (v - last) ** 2
             last = v
     expected = math.sqrt(2.0 / math.pi * square) / T
     assert noise_variation(model, T, beta, delay, sigma) == pytest.approx(expected, rel=1e-8)
+
+
+@pytest.mark.parametrize('delay', [0, 1, 2])
+@pytest.mark.parametrize('observed', [False, True])
+@pytest.mark.parametrize('order', [1, 2, 3])
+def test_the_noise_of_the_surface_is_that_of_the_impulse_responses(order, observed, delay):
+    """Another road: σ² = Σ_i σ_i² Σ_k h_i,k² of the s that the law computes."""
+    if observed and order == 1:
+        pytest.skip('nothing to observe')
+    model = make(RobustEso, order, design_delay=1).layer_model()
+    beta, sigma = 0.8, np.array([0.3, 0.7, 2.0])[:order]
+    observer = seen(400.0 if observed else 0.0)
+    if observed and delay == 2:
+        assert spectral_radius(model, T, beta, delay, observer) > 1.0
+        assert noise_of_surface(model, 2.0, T, beta, delay, sigma, observer) == math.inf
+        return
+    weights, square = np.array(error_weights(2.0, order)), 0.0
+    for place in range(order - observed):
+        x, z, line = np.zeros(order), np.zeros(len(model.c)), [0.0] * delay
+        estimate = np.zeros(2)
+        for k in range(8000):
+            measured = x.copy()
+            measured[place] += sigma[place] * (k == 0)
+            if observed:
+                estimate = observer.step @ estimate + observer.gain * measured[-2]
+                measured[-1] = estimate[1]
+            square += (weights @ measured) ** 2
+            v = model.d @ measured + model.c @ z
+            z = model.a @ z + model.b @ measured
+            line.append(v)
+            acts = line.pop(0)
+            x = held(x, beta * acts)
+    assert noise_of_surface(model, 2.0, T, beta, delay, sigma, observer) == pytest.approx(
+        math.sqrt(square), rel=1e-7)
 
 
 def test_noise_explains_no_variation_of_a_loop_that_is_not_calm():
@@ -156,6 +196,16 @@ def test_gains_near_the_largest_number_are_not_calm():
     with warnings.catch_warnings():
         warnings.simplefilter('error')
         assert spectral_radius(surface_model(2, 1.0, 1e308, 1.0), T, 1e308, 0) == np.inf
+        assert noise_of_surface(surface_model(2, 1.0, 1e308, 1.0), 1.0, T, 1e308, 0,
+                                [1.0, 1.0]) == np.inf
+
+
+@pytest.mark.parametrize('beta', [1e-15, 1e-16, 1e-17, 1e-18])
+def test_a_loop_at_its_limit_but_for_rounding_has_noise_without_bound_or_a_number(beta):
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        assert noise_of_surface(surface_model(2, 1.0, 30.0, 1.0), 1.0, T, beta, 0,
+                                [1e-3, 1e-2]) > 0.0
 
 
 @pytest.mark.parametrize('order', [1, 2, 3])

@@ -112,7 +112,21 @@ def test_nothing_is_reported_where_the_velocity_is_measured_or_the_law_unknown()
     assert findings(driver__measures=0) == []
     assert findings(controller__law='pd') == []
     configuration = Configuration.from_flat({'driver.name': 'mock'}, driven=False)
-    assert list(check_observer(configuration, configuration.make_driver().measured)) == []
+    assert list(check_observer(configuration, configuration.make_driver().measured, (0.0,))) == []
+
+
+@pytest.mark.parametrize(('name', 'key'), [
+    ('joint', 'driver.measured=1'), ('serial', 'driver.measured=1'),
+    ('cia402', 'driver.velocity_measured=false')])
+def test_what_is_not_measured_is_not_stated_to_be(name, key):
+    def state(*settings):
+        found = check(load_configuration(name, [*settings]))
+        return next(item for item in found if item.rule == 'state').words
+
+    assert state() == 'stated: all 2 states are measured'
+    assert state(key) == (
+        'not assumed: 1 of 2 states are measured, x1 is observed (tracking, 140.7 rad/s); the '
+        'theorem takes all states as measured')
 
 
 def closed_loop(omega, difference=False):

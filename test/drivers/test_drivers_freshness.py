@@ -30,8 +30,9 @@ def test_without_a_hold_nothing_is_lost():
     assert rule(state_hold=0).absent == math.inf
 
 
-@pytest.mark.parametrize(('age', 'expected'), [(0.004, 1.008), (-1.0, 1.0), (7.0, 1.02)])
-def test_a_position_is_advanced_by_no_more_than_its_age_may_be(age, expected):
+@pytest.mark.parametrize(('age', 'expected'), [(0.004, 1.008), (7.0, 1.02), (-0.004, 0.992),
+                                               (-7.0, 0.98)])
+def test_a_position_is_moved_by_no_more_than_its_age_may_be(age, expected):
     assert rule().advanced(1.0, 2.0, age) == pytest.approx(expected)
 
 

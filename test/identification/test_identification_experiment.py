@@ -17,7 +17,13 @@ from dz_ros.drivers.simulated import SimulatedActuator
 from dz_ros.errors import DriverError
 from dz_ros.identification.experiment.moves import BREACHES, Experiment, TRIES
 from dz_ros.identification.experiment.plan import Limits, Plan
-from dz_ros.identification.experiment.session import run_session, StoppedError
+from dz_ros.identification.experiment.pulses import Pulses, SignTest
+from dz_ros.identification.experiment.session import (
+    NotLetGoError,
+    run_session,
+    StoppedError,
+)
+from dz_ros.identification.samples import to_run
 
 SERVO = {'plant.model': 'servo', 'plant.noise': [1e-3, 1e-2], 'loop.timing': 'lockstep'}
 LIMITS = Limits(1.5, 1.0, 4.0)
@@ -46,10 +52,10 @@ class Watched(SimulatedActuator):
 
 
 def session(flat, limits=LIMITS, plan=None, stopped=lambda: '', driver=Watched,
-            wait=lambda seq: seq, kept=None):
+            wait=lambda seq: seq, kept=None, kind=Experiment, sides=()):
     c = Configuration.from_flat({**SERVO, **flat})
-    experiment = Experiment(limits, plan or Plan(repeats=4), c.plant.order, c.loop.period,
-                            c.safety.safe_command)
+    experiment = kind(limits, plan or Plan(repeats=4), c.plant.order, c.loop.period,
+                      c.safety.safe_command, *sides)
     hosted = HostedDriver(c)
     hosted.driver = driver(c.driver_parameters, c)
     try:
@@ -145,6 +151,51 @@ def test_a_limit_that_is_passed_stops_it_and_it_goes_back():
     assert driver.commanded[-1] == 'closed'
 
 
+PULSING = {'kind': Pulses, 'sides': ((2.0, -2.1),)}
+
+
+def test_a_limit_that_is_passed_in_a_pulse_stops_it_and_it_goes_on():
+    _, experiment, samples = session({'plant.disturbance_pulse': [1.2, 40.0, 0.05]}, **PULSING)
+    assert not isinstance(samples, Exception), samples
+    assert [text.partition(' ')[0] for text in experiment.breaches] == ['speed']
+    _, _, calm = session({}, **PULSING)
+    assert set(samples.repeat) == set(calm.repeat)
+    assert moves(samples, 'pulse') == moves(calm, 'pulse')
+
+
+def test_a_pulse_that_a_stall_prolongs_is_made_again():
+    _, _, calm = session({}, **PULSING)
+    pulse = int(np.flatnonzero([kind == 'pulse' for kind in calm.kinds])[20])
+    _, experiment, samples = session({'plant.viscous_friction': 0.0}, wait=stalls([pulse], 120),
+                                     **PULSING)
+    assert not isinstance(samples, Exception), samples
+    assert len(experiment.stalls) == 1
+    assert experiment.breaches == []        # it was the machine, not the device
+    assert moves(samples, 'return') > 0     # yet the limit was passed
+
+
+def test_a_limit_that_is_passed_in_the_sign_test_ends_it_with_its_name():
+    _, _, error = session({'plant.disturbance_pulse': [1.5, 40.0, 0.05]}, kind=SignTest)
+    assert isinstance(error, DriverError)
+    assert str(error).startswith('speed ')
+
+
+def test_a_session_without_any_measurement_is_a_run_without_rows():
+    kept = []
+
+    class Blind(Watched):
+        def measure(self):
+            return None
+
+        def absence(self):
+            return 'the cable is out'
+
+    _, _, error = session({}, driver=Blind, kept=kept.append)
+    assert str(error) == 'no measurement within 10 s: the cable is out'
+    found, = kept
+    assert len(to_run(found, Configuration.from_flat(SERVO), 0).channels['state']) == 0
+
+
 def test_it_gives_up_where_limits_are_passed_again_and_again():
     # So light that every ramp is too fast.
     _, _, error = session({'plant.inertia': 1e-3, 'plant.coulomb_friction': 0.05,
@@ -214,6 +265,22 @@ def test_a_device_that_missed_its_host_is_reset_and_the_move_made_again():
     assert ('safe', 0.0) not in driver.commanded[:100]
 
 
+def test_the_time_that_going_on_takes_is_no_stall():
+    late = [60]
+
+    class Loose(Offended):
+        def recover(self):
+            super().recover()
+            late.append(60)     # a reset that takes 0.3 s, after which it is lost again
+
+    def wait(seq):
+        return seq + late.pop() if seq >= 900 and late else seq
+
+    driver, _, error = session({}, driver=Loose, wait=wait)
+    assert driver.resets == 1
+    assert str(error) == 'no command for 0.1 s'
+
+
 def test_moves_whose_device_is_not_let_go_are_reported_and_kept():
     class Stuck(Watched):
         def disable(self):
@@ -222,7 +289,8 @@ def test_moves_whose_device_is_not_let_go_are_reported_and_kept():
 
     kept = []
     driver, experiment, error = session({}, driver=Stuck, kept=kept.append)
-    assert type(error) is DriverError
+    assert type(error) is NotLetGoError
+    assert len(error.samples.v) == len(kept[0].v)
     assert str(error) == 'letting the device go failed: the relay is stuck'
     assert driver.commanded[-2:] == ['disabled', 'closed']
     assert [samples.kinds[-1] for samples in kept] == ['rest']
@@ -285,6 +353,17 @@ def test_a_measurement_that_is_missing_once_is_a_hole():
 
     _, _, samples = session({}, driver=Blinking)
     assert np.flatnonzero(np.isnan(samples.x[:, 0])).tolist() == [700, 1100]
+
+
+def test_the_time_until_the_first_measurement_is_none_of_the_experiment():
+    class Slow(Watched):
+        def measure(self):
+            return super().measure() if len(self.commanded) >= 900 else None
+
+    _, _, samples = session({}, driver=Slow)
+    assert samples.seq[0] == 900
+    assert np.isfinite(samples.x).all()
+    assert samples.repeat.max() == 3
 
 
 def test_a_stop_gives_the_safe_command_in_the_same_sample():

@@ -78,12 +78,12 @@ class Page:
     def base(self):
         return f'http://127.0.0.1:{self.port}'
 
-    async def viewer(self, token=None, origin=None, seconds=0.0, hello=True, **headers):
-        """Return a WebSocket after its hello; `token` None is the right one."""
+    async def viewer(self, token=None, origin=None, seconds=0.0, hello=True, more=(), **headers):
+        """Return a WebSocket after its hello, with `more` in it; `token` None is the right one."""
         ws = await self.session.ws_connect(
             self.base + '/ws', headers={'Origin': origin or self.base, **headers}, max_msg_size=0)
         if hello:
-            await ws.send_json({'hello': 1, 'seconds': seconds,
+            await ws.send_json({**dict(more), 'hello': 1, 'seconds': seconds,
                                 'token': self.access.token if token is None else token})
         return ws
 
@@ -115,12 +115,15 @@ async def ended(ws):
 
 @pytest.fixture
 def with_page():
-    """Return a function that runs ``test(page)`` with a server; keywords go to its `Access`."""
+    """Return a function that runs ``test(page)`` with a server; keywords go to its `Access`.
+
+    The server shows a `Puppet` unless another source is given.
+    """
     from dz_ros.live.server import Server
 
-    def run(test, **rules):
+    def run(test, shown=None, **rules):
         async def work():
-            source = Puppet()
+            source = Puppet() if shown is None else shown
             access = Access(**rules)
             server = Server(source, access)
             await server.start()

@@ -45,6 +45,19 @@ CUT_OFF = """() => [...document.querySelectorAll(
 """What is wider or higher than its box, or beyond the screen."""
 
 
+def change(page, what, done=''):
+    """Click a button of the loop, again where a busy machine brings no answer, as a user does."""
+    answer = page.locator('#answer')
+    wanted = re.compile(f'^{done}$' if done else f'^{what}d|is not possible now')
+    for _ in range(5):
+        page.click(f'#{what}')
+        page.until("document.querySelector('#answer').innerText !== '…'")
+        if wanted.search(found := answer.inner_text()):
+            return
+        assert 'does not answer' in found, found
+    raise AssertionError(found)
+
+
 def wait_live(page):
     page.until("['live', 'fault'].includes(document.body.dataset.state)")
     page.until('dzRos.app.stores[0]?.count > 100')
@@ -110,8 +123,7 @@ def test_an_estop_in_the_page_has_the_actuator_safe_within_three_samples(open_pa
         presses.append(page.evaluate('window.pressed'))
         seen = page.evaluate('dzRos.app.stores[0].last')
         page.until(f'dzRos.app.stores[0].last > {seen} + 0.3')
-        page.click('#reset')
-        page.until("document.querySelector('#answer').innerText === 'reset'")
+        change(page, 'reset', 'reset')
         page.until("document.body.dataset.state === 'live'")
         seen = page.evaluate('dzRos.app.stores[0].last')
         page.until(f'dzRos.app.stores[0].last > {seen} + 0.3')
@@ -119,7 +131,9 @@ def test_an_estop_in_the_page_has_the_actuator_safe_within_three_samples(open_pa
     data = read_run(run)
     actions = [event for event in map(json.loads, (item[2] for item in data.events))
                if event['event'] == 'action' and event['action'] == 'estop']
-    assert [(item['done'], item['by']) for item in actions] == [(True, '127.0.0.1')] * PRESSES
+    # The page repeats a press that is not confirmed within a second.
+    assert {(item['done'], item['by']) for item in actions} == {(True, '127.0.0.1')}
+    assert len(actions) >= PRESSES
     state, truth = data.channels['state'], data.channels['truth']
     took = []
     for pressed in presses:
@@ -169,8 +183,9 @@ def test_a_refused_gain_reports_why_and_an_accepted_one_is_recorded(open_page, l
     begins, size, length = stated[-1]['configuration']['plant.disturbance_pulse']
     assert (size, length) == (15.0, 0.05)
     truth = data.channels['truth']
-    # Ten samples at 200 Hz; a busy machine may have skipped some, or all of them.
-    within = ((truth['stamp'] > begins - 0.002) & (truth['stamp'] < begins + length - 0.002)).sum()
+    # Ten samples at 200 Hz; a busy machine may have skipped some, or taken it after them.
+    within = ((truth['stamp'] > begins - 0.002) & (truth['stamp'] < begins + length - 0.002)
+              & (truth['seq'] >= stated[-1]['seq'])).sum()
     assert abs(int((truth['disturbance'] < -14.0).sum()) - int(within)) <= 1
 
 
@@ -234,11 +249,9 @@ def test_two_viewers_agree_and_one_without_the_token_only_looks(open_page, loop)
     other.keyboard.press('Escape')
     playwright.expect(other.locator('#alarm')).to_contain_text('E-STOP NOT SENT: view only')
     assert 'E-STOP' not in one.inner_text('#state')
-    one.click('#deactivate')
-    playwright.expect(one.locator('#answer')).to_contain_text('deactivated')
+    change(one, 'deactivate')
     other.until("!['live', 'paused'].includes(document.body.dataset.state)")
-    one.click('#activate')
-    playwright.expect(one.locator('#answer')).to_contain_text('activated')
+    change(one, 'activate')
     other.until("['live', 'fault'].includes(document.body.dataset.state)")
 
 

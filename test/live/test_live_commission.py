@@ -6,6 +6,7 @@ Over 300 lines: one page and its helpers serve the steps with every kind of devi
 
 import json
 import socket
+import time
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ DZ = ('-m', 'dz_ros')
 STALLED = ('sensor', 'identify', 'loop')
 """Steps that a machine without time may spoil: they are repeated, as an operator would."""
 TRIES = 4
+TIME_OUT = 180.0
 
 
 def settings(*texts):
@@ -42,6 +44,7 @@ def commission(processes, ros_domain, tmp_path, open_page):
         address = process.wait_for_line('live page:').split()[-1]
         page = open_page(address if whole_address else address.partition('#')[0])
         page.until("!document.querySelector('#commission').hidden")
+        page.process = process
         return page, process, out
 
     return start
@@ -73,8 +76,16 @@ def make(page, step, moves):
     begin(page, step)
     if moves:
         confirm(page)
-    page.until(f"""dzRos.app.commissioning.shown.running === '' && dzRos.app.commissioning.shown
-        .steps.find((item) => item.step === '{step}').attempts === {before + 1}""")
+    done = f"""() => dzRos.app.commissioning.shown.running === '' && dzRos.app.commissioning
+        .shown.steps.find((item) => item.step === '{step}').attempts === {before + 1}"""
+    shown, changed = '', time.monotonic()
+    while not page.evaluate(done):      # however long it takes, as long as it goes on
+        found = page.inner_text('#state')
+        if found != shown:
+            shown, changed = found, time.monotonic()
+        assert page.process.poll() is None, page.process.output
+        assert time.monotonic() - changed < TIME_OUT, (shown, page.process.output)
+        page.wait_for_timeout(20)
     return page.evaluate(f'{item(step)}.dataset.outcome')
 
 

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures of the tests of nodes: a recorded run, a node that receives a loop."""
+"""Fixtures of the tests of nodes: a recorded run, a node that receives a loop.
+
+Over 300 lines: what a test of nodes does from outside, one class for each kind of loop.
+"""
 
 from dataclasses import replace
 import json
@@ -72,6 +75,20 @@ def children():
     return find
 
 
+@pytest.fixture
+def none_missing():
+    """Return whether a channel has each sample from 0 on, in order, and all but the first once.
+
+    State 0 is sent again until it is answered, and with it references 0 and 1.
+    """
+    def judge(channel):
+        found = list(channel['seq'])
+        later = [seq for seq in found if seq > 1.0]
+        return {0.0, 1.0} <= {*found} and later == list(range(2, 2 + len(later)))
+
+    return judge
+
+
 class Operator:
     """A node of the test's own that receives everything and calls services."""
 
@@ -101,11 +118,17 @@ class Operator:
             String, 'events', lambda message: self.events.append(json.loads(message.data)),
             durable)
 
-    def wait(self, condition, timeout=TIME_OUT):
+    def reached(self, condition, timeout):
+        """Receive until a condition holds; return whether it does in time."""
         deadline = time.monotonic() + timeout
         while not condition():
-            assert time.monotonic() < deadline, f'not in time; modes: {self.modes()}'
+            if time.monotonic() > deadline:
+                return False
             self.executor.spin_once(timeout_sec=0.1)
+        return True
+
+    def wait(self, condition, timeout=TIME_OUT):
+        assert self.reached(condition, timeout), f'not in time; modes: {self.modes()}'
 
     def modes(self):
         found = {}
@@ -136,6 +159,12 @@ class Operator:
         self.wait(running)
 
     def call(self, service, service_type=None, request=None):
+        answer = self.answer(service, service_type, request)
+        assert answer is not None, f'{service} does not answer; modes: {self.modes()}'
+        return answer
+
+    def answer(self, service, service_type=None, request=None, timeout=TIME_OUT):
+        """Return a service's answer; None where it has none in time."""
         service_type = service_type or self.trigger
         client = self.node.create_client(service_type, service)
         asked = []
@@ -148,8 +177,8 @@ class Operator:
                 self.ask_again = time.monotonic() + ASK_AGAIN
             return any(future.done() for future in asked)
 
-        self.wait(answered)
-        return next(future for future in asked if future.done()).result()
+        self.reached(answered, timeout)
+        return next((future.result() for future in asked if future.done()), None)
 
     def set(self, node, **values):
         parameters = [self.rclpy.parameter.Parameter(name.replace('__', '.'), value=value)
@@ -213,10 +242,16 @@ class Watcher(Operator):
         self.wait(good, 2 * TIME_OUT)
 
     def recovered(self):
-        """Reset the ends in fault, the actuator first; return whether that was accepted."""
-        return all(self.call(f'{name}/reset').success
-                   for name in ('actuator_node', 'controller_node')
-                   if self.modes()[name][0] == 'fault')
+        """Reset the ends in fault, the actuator first; return whether that was accepted.
+
+        A node that has ended since does not answer: the test may start it again meanwhile.
+        """
+        for name in ('actuator_node', 'controller_node'):
+            if self.modes()[name][0] == 'fault':
+                answer = self.answer(f'{name}/reset', timeout=ASK_AGAIN)
+                if answer is None or not answer.success:
+                    return False
+        return True
 
 
 @pytest.fixture

@@ -6,8 +6,13 @@ Over 300 lines: publishers, ends and presses are those of one topic.
 
 import json
 from pathlib import Path
+import random
 import re
+import select
 import signal
+import subprocess
+import sys
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -253,6 +258,115 @@ def publisher_on(topic, kind='keep all'):
     while made.get_subscription_count() < {'sensor data': 1, 'latched': 3}.get(kind, 2):
         topic.wait(0.01)
     return lambda pressed: made.publish(Bool(data=pressed))
+
+
+BUTTONS = """
+import sys
+import time
+import rclpy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Bool
+rclpy.init()
+offered = [QoSProfile(depth=10),
+           QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT),
+           QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
+           QoSProfile(history=HistoryPolicy.KEEP_ALL)]
+made = [rclpy.create_node(f'button_{k}').create_publisher(Bool, 'estop', offered[k % 4])
+        for k in range(8)]
+for line in sys.stdin:
+    which, length, releases, other, more = line.split()
+    made[int(which)].publish(Bool(data=True))
+    time.sleep(float(length))
+    for _ in range(int(releases)):
+        made[int(which)].publish(Bool(data=False))
+    for _ in range(int(more)):
+        made[int(other)].publish(Bool(data=False))
+    print('done', flush=True)
+"""
+"""Presses by eight publishers of four kinds, as a line asks for: publisher, length [s], number of
+its releases, another publisher, number of releases of that one."""
+FORGETS = (1, 2, 5, 6)
+"""Those that keep no press behind its release: what the transport drops comes when repeated."""
+
+
+@pytest.fixture
+def two_ends(ros_domain):
+    """Yield the e-stops of two nodes, which the test has look when it likes."""
+    from dz_ros.nodes.ros.estop_topic import EstopTopic
+    context = rclpy.Context()
+    context.init()
+    nodes = [rclpy.create_node(f'end_{k}', context=context) for k in range(2)]
+    made = [EstopTopic(node) for node in nodes]
+    for topic, node in zip(made, nodes, strict=True):
+        topic.node = node
+    yield made
+    for node in nodes:
+        node.destroy_node()
+    context.shutdown()
+
+
+def test_a_thousand_presses_beside_stalls_are_all_received_at_both_ends(two_ends):
+    draw = random.Random(11)
+    with subprocess.Popen([sys.executable, '-c', BUTTONS], stdin=subprocess.PIPE,
+                          stdout=subprocess.PIPE, text=True) as process:
+        try:
+            buttons = Buttons(process, two_ends)
+            for which in range(8):      # it knows the ends before they know it
+                assert any(buttons.press(which, 0.0, 1, which, 0, (), 1.0) for _ in range(180))
+            again = 0
+            for number in range(1000):
+                which, other = draw.sample(range(8), 2)
+                asleep = draw.choice(((), (0,), (1,), (0, 1)))
+                time.sleep(draw.choice((0.0, 0.003)) * draw.random())
+                length = draw.choice((0.0, 0.001, 0.01)) * draw.random()
+                words = (which, length, draw.choice((0, 1, 1, 30)), other,
+                         draw.choice((0, 0, 1, 30)), asleep)
+                found = buttons.press(*words, 1.0 if which in FORGETS else TIME_OUT)
+                again += not found
+                assert found or (which in FORGETS and buttons.press(*words, TIME_OUT)), (
+                    number, words)
+            assert again < 250      # half of those that keep nothing; mostly none
+        finally:
+            process.kill()
+
+
+class Buttons:
+    """Publishers of another process, and what two ends receive of them."""
+
+    def __init__(self, process, ends):
+        self.process, self.ends = process, ends
+        self.names = {}
+
+    def gid(self, which):
+        """Return the identity of a publisher."""
+        give_up = time.monotonic() + TIME_OUT
+        while which not in self.names:
+            assert time.monotonic() < give_up
+            for topic in self.ends:
+                for info in topic.node.get_publishers_info_by_topic('estop'):
+                    if info.node_name.startswith('button_'):
+                        self.names[int(info.node_name[7:])] = bytes(info.endpoint_gid)[:16]
+        return self.names[which]
+
+    def press(self, which, length, releases, other, more, asleep, limit):
+        """Press; return whether both ends receive it; those asleep look when all is sent."""
+        gid, seen = self.gid(which), [set(), set()]
+        self.process.stdin.write(f'{which} {length} {releases} {other} {more}\n')
+        self.process.stdin.flush()
+        give_up = time.monotonic() + TIME_OUT
+        while not select.select([self.process.stdout], [], [], 0.0)[0]:
+            assert time.monotonic() < give_up
+            self.look(seen, set(range(2)) - set(asleep))
+        assert self.process.stdout.readline() == 'done\n'
+        until = time.monotonic() + limit
+        while not all(gid in item for item in seen) and time.monotonic() < until:
+            self.look(seen, range(2))
+        return all(gid in item for item in seen)
+
+    def look(self, seen, which):
+        for end in which:
+            seen[end] |= self.ends[end].receive()
+        time.sleep(0.0005)
 
 
 @pytest.mark.parametrize(('before', 'after'), [(4000, 500), (500, 4000), (0, 4900), (4900, 0)])

@@ -438,7 +438,7 @@ def test_one_joint_is_identified_while_the_controller_holds_the_other_at_its_saf
     out = tmp_path / 'found'
     process = processes('-m', 'dz_ros', 'driver', 'identify', two, '--axis', 'fore', '--travel',
                         '3', '--speed', '2', '--effort', '4', '--repeats', '4', '--ramp', '2',
-                        '--pause', '0.3', '--yes', '--out', out, '--set', 'driver.fresh=10000',
+                        '--pause', '0.3', '--yes', '--out', out, '--set', 'driver.fresh=20',
                         '--set', 'safety.state_hold=10000', '--set', 'safety.fault_after=20000')
     watcher.wait(lambda: process.poll() is not None, 400.0)
     code = process.poll()
@@ -449,6 +449,6 @@ def test_one_joint_is_identified_while_the_controller_holds_the_other_at_its_saf
     assert held[:, 1].max() > 1.0
     assert held[:, 1].min() < -1.0
     assert held[-1].tolist() == [0.0, 0.0]
-    # A machine that stalls may lose too many states for an answer.
-    assert code in (0, 1) or re.search('is not a number in|of the states are lost',
+    # A machine that stalls may lose too many states for an answer, or leave old ones.
+    assert code in (0, 1) or re.search('is not a number in|of the states are lost|is not the rate',
                                        process.output), process.output

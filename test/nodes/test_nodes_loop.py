@@ -26,22 +26,22 @@ NODE = ('-m', 'dz_ros.nodes.main')
 CONFIG = Path(__file__).parents[2] / 'config'
 
 
-def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path, patient):
+def test_a_real_time_run_is_recorded_whole_and_tracks(processes, tmp_path, patient,
+                                                      none_missing):
     run = processes(*DZ, 'run', 'wang2004', *patient, '--duration', '6', '--record',
                     tmp_path / 'run')
     assert run.wait() == 0, run.output
     data = read_run(tmp_path / 'run')
     state, command, terms = (data.channels[name] for name in ('state', 'command', 'terms'))
-    assert list(state['seq']) == list(range(len(state)))
     # Each publisher counts on its own: nothing got lost on the way, even if the machine stalled.
     for name, channel in data.channels.items():
-        assert list(channel['seq']) == list(range(len(channel))), name
+        assert none_missing(channel), name
     assert np.array_equal(command['echo_seq'], terms['echo_seq'])
     assert tuple(state.values[0, 2:4]) == (-2.5, 3.5)
     assert 6.0 - 1e-6 < state['stamp'][-1] < 7.0     # a stall may skip the last sample's period
-    assert np.all(np.diff(state['stamp']) > 0.004)
+    assert np.all(np.diff(np.unique(state['stamp'])) > 0.004)
     # A state echoes the newest command before it: that of the sample before, mostly.
-    age = (state['stamp'] - state['echo_stamp'])[1:]
+    age = (state['stamp'] - state['echo_stamp'])[state['seq'] > 0.0]
     assert np.all(age > 0.004)
     assert np.median(age) == pytest.approx(0.005)
     measured = state['round_trip'] > 0.0

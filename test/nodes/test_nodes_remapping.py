@@ -108,8 +108,9 @@ def test_a_loop_runs_whatever_its_names_are(processes, outside, tmp_path):
                                                  if name == 'recorder_node' else ()))
              for name in ('recorder_node', 'plant_node', 'trajectory_node', 'controller_node')}
     outside.running()
-    assert {item['node'] for item in outside.events} >= {f'{SPACE}/{name}' for name in (
-        'axis', 'law', 'planner')}
+    # What a node has latched comes when its publisher is found, in any order of the nodes.
+    outside.wait(lambda: {item['node'] for item in outside.events} >= {
+        f'{SPACE}/{name}' for name in ('axis', 'law', 'planner')})
 
     # A second publisher of commands is seen under the name that the topic really has.
     rival = outside.node.create_publisher(outside.kind, f'{SPACE}/taken', 10)

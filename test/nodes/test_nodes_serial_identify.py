@@ -72,7 +72,9 @@ def test_each_motor_is_identified_while_the_other_one_rests(serial_device, proce
         for name, true, another in zip(('b_r', 'b_l'), own, theirs, strict=True):
             bounds = found[axis][name]
             assert bounds['low'] <= true <= bounds['high'], (axis, name, bounds)
-            assert not bounds['low'] <= another <= bounds['high'], (axis, name, bounds)
+            # A busy machine makes the interval wide, not another motor's.
+            assert abs(bounds['value'] - true) < abs(bounds['value'] - another), (
+                axis, name, bounds)
         for name in ('b·m_r', 'b·m_l'):
             assert found[axis][name]['low'] <= 1.0 <= found[axis][name]['high'], (axis, name)
 

@@ -35,6 +35,7 @@ import random
 import shutil
 import signal
 import sqlite3
+import struct
 import sys
 import tempfile
 import time
@@ -412,9 +413,13 @@ def other_reading(path: Path) -> tuple[Rows, str]:
                 plain.write_bytes(data)
                 read = sqlite_messages if data.startswith(b'SQLite') else mcap_messages
                 for topic, payload in read(plain):
-                    if payload.startswith(b'\x28\xb5\x2f\xfd'):
-                        payload = ZstdDecompressor().decompressobj().decompress(payload)
-                    labels, values = array(payload)
+                    try:
+                        if payload.startswith(b'\x28\xb5\x2f\xfd'):
+                            payload = ZstdDecompressor().decompressobj().decompress(payload)
+                        labels, values = array(payload)
+                    except Exception as error:  # noqa: BLE001  this message; not those after it
+                        fault = fault or f'{type(error).__name__}: {error}'
+                        continue
                     found.setdefault(topic.rpartition('/')[2], Counter())[
                         labels, np.array(values, dtype=float).tobytes()] += 1
             except Exception as error:  # noqa: BLE001  readers raise what they like
@@ -443,6 +448,21 @@ def sqlite_messages(path: Path) -> Iterator[tuple[str, bytes]]:
             raise fault
 
 
+def without_metadata(data: bytes) -> bytes:
+    """Return an MCAP file without metadata records, whose length mcap's reader does not look at.
+
+    It holds no messages; one that is longer than its contents is no fault (MCAP, "Records").
+    """
+    kept, position = [data[:8]], 8
+    while position + 9 <= len(data):
+        opcode, length = struct.unpack_from('<BQ', data, position)
+        end = min(position + 9 + length, len(data))
+        if opcode != 0x0C:
+            kept.append(data[position:end])
+        position = end
+    return b''.join((*kept, data[position:]))
+
+
 def mcap_messages(path: Path) -> Iterator[tuple[str, bytes]]:
     """Yield (topic, payload) of the arrays in an MCAP file."""
     from mcap.records import Channel, Message, Schema
@@ -450,7 +470,7 @@ def mcap_messages(path: Path) -> Iterator[tuple[str, bytes]]:
 
     schemas: dict[int, str] = {}
     channels: dict[int, Any] = {}
-    with path.open('rb') as file:
+    with io.BytesIO(without_metadata(path.read_bytes())) as file:
         for item in StreamReader(file, record_size_limit=2**28).records:
             if isinstance(item, Schema):
                 schemas.setdefault(item.id, item.name)

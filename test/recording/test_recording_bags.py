@@ -246,6 +246,23 @@ def test_a_database_that_computes_is_refused(make_bag):
         read_run(bag)
 
 
+@pytest.mark.parametrize('ordered', [True, False])
+def test_an_index_that_leaves_messages_out_is_not_asked(make_bag, data, same, ordered):
+    bag = make_bag('sqlite3')
+    with closing(sqlite3.connect(bag / 'bag.db3')) as database:
+        for (name,) in list(database.execute("SELECT name FROM sqlite_master WHERE type = 'index'"
+                                             ' AND sql IS NOT NULL')):
+            database.execute(f'DROP INDEX {name}')
+        if not ordered:
+            database.execute('UPDATE messages SET id = -id')
+        database.executescript(
+            'CREATE INDEX timestamp_idx ON messages (timestamp ASC) WHERE id % 2; '
+            'PRAGMA writable_schema = ON; '
+            "UPDATE sqlite_master SET sql = 'CREATE INDEX timestamp_idx ON messages (timestamp "
+            "ASC)' WHERE name = 'timestamp_idx'")
+    same(read_run(bag), data, publish=False)
+
+
 def test_a_damaged_database_gives_what_is_readable(make_bag, data):
     bag = make_bag('sqlite3')
     contents = bytearray((bag / 'bag.db3').read_bytes())

@@ -9,9 +9,13 @@ import re
 import numpy as np
 import pytest
 
+from dz_ros.core.dataset import from_run
+from dz_ros.core.loop.offline import simulate
 from dz_ros.errors import ConfigurationError
+from dz_ros.files.configurations import load_configuration
 from dz_ros.report.compare import compare, overlaid, write_comparison
 from dz_ros.report.view import View
+from dz_ros.runs.axes import named_axis
 
 
 @pytest.fixture(scope='module')
@@ -36,6 +40,28 @@ def test_a_window_given_is_everybodys(runs):
     assert {view.metrics.window for view in views.values()} == {(5.0, 12.0)}
     with pytest.raises(ConfigurationError, match='window'):
         compare(runs, window=(15.0, 20.0))
+
+
+def test_a_tolerance_is_that_of_the_first_run_of_an_axis():
+    def made(amplitude):        # of a plant whose x has a unit
+        return from_run(simulate(load_configuration('servo', [
+            'trajectory.kind=sinusoid', f'trajectory.amplitude={amplitude}',
+            'loop.duration=1.0'])))
+
+    runs = {'yaw0': named_axis(made(1.0), 'yaw'), 'surge0': named_axis(made(3.0), 'surge'),
+            'yaw1': named_axis(made(4.0), 'yaw'), 'surge1': named_axis(made(5.0), 'surge')}
+    own = {name: View.of(run).metrics.tolerance for name, run in runs.items()}
+    assert len(set(own.values())) == 4
+
+    def found(**given):
+        return [view.metrics.tolerance for view in compare(runs, **given).views.values()]
+
+    assert found() == [own['yaw0'], own['surge0'], own['yaw0'], own['surge0']]
+    assert found(tolerance=0.5) == [0.5] * 4
+    # A run whose axis is not known is compared as one of the same.
+    of_one = {'a': runs['yaw0'], 'b': made(3.0)}
+    views = compare(of_one).views
+    assert [view.metrics.tolerance for view in views.values()] == [own['yaw0']] * 2
 
 
 def test_what_differs_is_listed(runs, simulated):

@@ -300,6 +300,7 @@ def test_the_reference_run_differs_in_the_dead_zone_alone(simulated):
     ({'plant.dead_zone.m_r_drift': (0.05, 1.0)}, 'slope of the dead-zone drifts', ''),
     ({'plant.dead_zone.b_r_drift': (0.05, 1.0)}, '', 'b_r or b_l drifts: with a constant slope'),
     ({'loop.delay': 1}, '', 'Loop delay: 1'),
+    ({'driver.measured': 1}, '', '1 of 2 states are measured, x1 is observed (tracking, '),
     ({'plant.noise': (1e-3, 1e-2)}, '', 'Measurement noise of standard deviation 0.001, 0.01'),
     ({'plant.command_limit': 10.0}, '', 'clips |v| to 10'),
     ({'plant.dead_zone.b_r': 0.0, 'plant.dead_zone.b_l': 0.0}, '', 'Sampling'),

@@ -16,7 +16,16 @@ from dz_ros.errors import RecordingError
 from dz_ros.recording.reader import read_run, run_info
 from dz_ros.recording.save import save_run, state_configuration
 from dz_ros.report.view import View
-from dz_ros.runs.axes import axis_run, axis_text, choose_axis, each_axis
+from dz_ros.runs.axes import (
+    axis_flat,
+    axis_name,
+    axis_run,
+    axis_text,
+    choose_axis,
+    each_axis,
+    named_axis,
+    same_axes,
+)
 from dz_ros.runs.history import RunHistory
 from dz_ros.runs.setting import Setting
 
@@ -81,6 +90,37 @@ def test_what_is_of_one_axis_refuses_several(read):
     assert axis_run(one, 'yaw') is one
 
 
+@pytest.mark.parametrize('axes', [5, True, 'yaw', 'y', {'yaw': 1}, [5], [['yaw']], ['yaw', 'yaw'],
+                                  [None], ['a\nb'], None, []])
+def test_a_recording_that_states_no_axes_rightly_has_none_by_name(axes):
+    run = RunData({}, {'loop.axes': axes})
+    assert axis_name(run) == ''
+    for name in ('yaw', 'y', 'a\nb', ''):
+        with pytest.raises(RecordingError, match='of one axis, without a name'):
+            axis_run(run, name)
+    assert axis_flat(run.configuration, 'yaw')['loop.axes'] == (
+        [] if isinstance(axes, list) and 'yaw' in axes else axes)
+
+
+def test_one_axis_that_ran_alone_has_a_name_in_its_description(machine, runs, read):
+    alone = named_axis(from_run(runs['yaw']), 'yaw')
+    assert axis_name(alone) == 'yaw'
+    assert axis_run(alone, 'yaw') is alone
+    assert list(each_axis(alone)) == ['']
+    assert axis_name(read[0]) == axis_name(from_run(runs['yaw'])) == ''
+    assert axis_name(axis_run(read[0], 'yaw')) == 'yaw'
+    assert axis_name(RunData({}, {}, {'axis': 'a\nb'})) == ''
+    with pytest.raises(RecordingError, match=r'no axis surge: it is of axis yaw alone$'):
+        axis_run(alone, 'surge')
+    for pair, text in (((alone, read[0]), 'a has axis yaw alone, b has axes surge, yaw'),
+                       ((read[0], alone), 'a has axes surge, yaw, b has axis yaw alone')):
+        with pytest.raises(RecordingError, match=f'{text}; choose it with --axis yaw$'):
+            same_axes(dict(zip('ab', pair, strict=True)))
+    other = named_axis(from_run(runs['yaw']), 'roll')
+    with pytest.raises(RecordingError, match=r'a has axes surge, yaw, b has axis roll alone$'):
+        same_axes({'a': read[0], 'b': other})
+
+
 def test_events_state_the_configuration_of_the_axis(machine):
     text = ConfigurationEvent('/controller', machine.to_flat(), owns=('controller', 'safety'),
                               seq=4, memory=(1.0, 2.0, 3.0, 4.0)).to_json()
@@ -115,3 +155,22 @@ def test_a_topic_of_other_axes_is_not_of_this_loop(machine, runs):
         wanted = f'command are of {words}, the run has axes surge'
         with pytest.raises(RecordingError, match=wanted):
             axis_run(mixed, 'yaw')
+
+
+def test_the_axes_of_runs_are_matched_by_name_in_the_order_of_the_first(machine, runs):
+    first = from_runs(runs, machine)
+    turned = from_runs({name: runs[name] for name in ('yaw', 'surge')},
+                       Configuration.from_flat({**FLAT, 'loop.axes': ['yaw', 'surge']}))
+    found = same_axes({'first': first, 'turned': turned})
+    assert list(found) == ['surge', 'yaw']
+    for axis, named in found.items():
+        assert list(named) == ['first', 'turned']
+        for run in named.values():
+            assert (run.channels['command']['v'] == runs[axis].v).all()
+    alone = from_run(runs['yaw'])
+    assert list(same_axes({'a': alone, 'b': alone})) == ['']
+    other = from_runs({'surge': runs['surge'], 'roll': runs['yaw']}, machine)
+    for pair, text in (((first, other), 'only a has axis yaw, only b has axis roll'),
+                       ((alone, first), 'a has one axis, without a name, b has axes surge, yaw')):
+        with pytest.raises(RecordingError, match=f'must have the same axes: {text}$'):
+            same_axes(dict(zip('ab', pair, strict=True)))

@@ -141,6 +141,14 @@ def test_more_delay_means_a_wider_layer_and_ends_the_chatter():
     assert after['v_variation'] < 0.2 * before['v_variation']
 
 
+def test_a_disturbance_that_the_effort_cannot_hold_is_named():
+    with pytest.raises(ConfigurationError, match=r'--disturbance = 1000\.0: needs \|v\| = .* by '
+                       r'the least b m = .*, --effort = 12'):
+        tuned(effort=12.0, disturbance=1000.0)
+    with pytest.raises(ConfigurationError, match=r'--effort = 3$'):     # the actuator's limit
+        tuned('wang2004', 'plant.command_limit=3', effort=12.0, disturbance=1000.0)
+
+
 def test_effort_is_kept():
     found = tuned(effort=12.0)
     assert abs(simulate(found.after).v).max() <= 12.0

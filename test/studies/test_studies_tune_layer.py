@@ -7,7 +7,12 @@ import pytest
 from dz_ros.core.design.finding import INFO
 from dz_ros.core.design.guard_noise import LEAST, noise_in_s
 from dz_ros.core.design.linear_loop import spectral_radius
-from dz_ros.core.design.observation import linear_observer, measured_steps
+from dz_ros.core.design.observation import (
+    linear_observer,
+    measured_steps,
+    observed_noise,
+    observer_of,
+)
 from dz_ros.core.design.rules import check
 from dz_ros.core.loop.offline import simulate
 from dz_ros.errors import ConfigurationError
@@ -179,3 +184,15 @@ def test_share_found_is_the_largest_that_suits():
     hopeless = encoder('joint', 'controller.law=robust', 'driver.observer=2')
     assert settled(lambda share: hopeless.replace(**{
         'controller.margin': 0.5 * share})).law.gains.margin == 0.5
+
+
+@pytest.mark.parametrize(('bits', 'faster'), [(17, True), (14, False), (0, False)])
+def test_a_faster_observer_where_the_layer_gains_by_it_and_noise_leaves_v_calm(bits, faster):
+    step = 2.0 * np.pi / 2 ** bits if bits else 0.0     # 0: nothing is known of it
+    c = tune(encoder('joint', f'driver.resolution={step}')).after
+    by_rule = c.replace(**{'driver.observer': 0.0})
+    assert (c.driver_settings.observer > observer_of(by_rule).omega) == faster
+    assert suits(c)
+    if faster:
+        assert c.law.gains.layer_gain * observed_noise(c, (step,)) <= 0.05 * c.law.gains.k_star
+        assert not suits(by_rule)       # the rule's own is too slow for this layer

@@ -37,6 +37,11 @@ def run():
     return from_run(simulate(load_configuration('robust', ['loop.duration=1.0'])))
 
 
+def panels(node):
+    """Return the panels of a layout or of a tab."""
+    return {node} if isinstance(node, str) else panels(node['first']) | panels(node['second'])
+
+
 def number(run, topic, place):
     """Return the column that a tool would draw, and its name."""
     channel = run.channels[topic]
@@ -52,6 +57,7 @@ def test_files_are_what_the_tool_writes(tool):
 
 def test_foxglove_s_series_are_the_fields_they_are_called(run):
     layout = json.loads((FOLDER / 'foxglove.json').read_text(encoding='utf-8'))
+    assert panels(layout['layout']) == set(layout['configById'])
     seen = set()
     for panel in layout['configById'].values():
         for path in panel.get('paths', ()):
@@ -61,11 +67,6 @@ def test_foxglove_s_series_are_the_fields_they_are_called(run):
             assert np.isfinite(values).all()
             seen.add(name)
     assert {'x0', 'xd0', 'v', 'w', 's', 'theta1', 'phi', 'v_robust', 'round_trip'} <= seen
-
-    def panels(node):
-        return {node} if isinstance(node, str) else panels(node['first']) | panels(node['second'])
-
-    assert panels(layout['layout']) == set(layout['configById'])
 
 
 @pytest.mark.parametrize('name', ['plotjuggler_ros2.xml', 'plotjuggler_mcap.xml'])
@@ -136,8 +137,90 @@ def test_the_layouts_of_an_axis_draw_its_row_of_the_messages(tmp_path, axis):
         assert sizes == [longest]
 
 
+@pytest.mark.parametrize('name', ['six_axes', 'rov_planar', 'two_link_arm'])
+def test_the_layouts_of_a_machine_have_a_tab_for_all_axes_and_one_for_each(tmp_path, name):
+    machine = load_configuration(name, ['loop.duration=0.1'])
+    whole = from_runs(simulate_axes(machine), machine)
+    runs = {axis: axis_run(whole, axis) for axis in machine.axis_names}
+    tabs = ['all axes', *machine.axis_names]
+    done = write_layouts(tmp_path, name, '--namespace', 'left')
+    assert (done.returncode, done.stderr) == (0, '')
+
+    def check(topic, place, label, field=None):
+        axis, _, own = label.partition('.')
+        assert np.array_equal(whole.channels[topic].values[:, int(place)],
+                              runs[axis].channels[topic][field or own]), label
+
+    layout = json.loads((tmp_path / 'foxglove.json').read_text(encoding='utf-8'))
+    every = layout['configById']
+    assert layout['layout'] == 'Tab!dz'
+    own = {tab['title']: panels(tab['layout']) for tab in every['Tab!dz']['tabs']}
+    assert list(own) == tabs
+    assert sorted(item for found in own.values() for item in found) == sorted(
+        {*every} - {'Tab!dz'})
+    assert 'RawMessages!events' in own['all axes']     # mode and e-stop
+    for tab, found in own.items():
+        labels = {path['label'] for item in found for path in every[item].get('paths', ())}
+        if tab == 'all axes':
+            assert labels == {f'{axis}.{field}' for axis in machine.axis_names
+                              for field in ('x0', 'v', 's_eps', 'status')} | {
+                f'{tabs[1]}.round_trip', f'{tabs[1]}.hold'}     # the same in every row
+        else:
+            assert {f'{tab}.{field}' for field in ('x0', 'xd0', 'v', 'w', 's')} <= labels
+            assert {label.partition('.')[0] for label in labels} == {tab}
+    for panel in every.values():
+        for path in panel.get('paths', ()):
+            check(*re.fullmatch(r'/left/(\w+)\.data\[(\d+)\]', path['value']).groups(),
+                  path['label'])
+    for file in ('plotjuggler_ros2.xml', 'plotjuggler_mcap.xml'):
+        root = ET.parse(tmp_path / file).getroot()
+        assert [tab.get('tab_name') for tab in root.iter('Tab')] == tabs
+        snippets = {item.get('name'): item for item in root.iter('snippet')}
+        for label, snippet in snippets.items():
+            source = snippet.findtext('linked_source')
+            topic, place = re.fullmatch(r'/left/(\w+)/data\[(\d+)\]', source).groups()
+            check(topic, place, label, 'x0' if label.endswith('.error') else None)
+        assert {f'{axis}.error' for axis in machine.axis_names} <= set(snippets)
+        for tab in root.iter('Tab'):
+            curves = {item.get('name') for item in tab.iter('curve')}
+            assert curves <= set(snippets)
+            assert curves & {f'{axis}.error' for axis in machine.axis_names} == (
+                {f'{axis}.error' for axis in machine.axis_names}
+                if tab.get('tab_name') == 'all axes' else {f'{tab.get("tab_name")}.error'})
+        for splitter in root.iter('DockSplitter'):
+            assert len(splitter) == int(splitter.get('count')) == len(
+                splitter.get('sizes').split(';'))
+
+
+def test_axes_of_different_units_do_not_share_a_plot(tool):
+    made = tool.layouts(load_configuration('rov_planar'))
+    drawn = {panel['title']: [path['label'] for path in panel['paths']] for panel in json.loads(
+        made['foxglove.json'])['configById'].values() if 'paths' in panel}
+    assert drawn['Output [m]'] == ['surge.x0', 'sway.x0']
+    assert drawn['Output [rad]'] == ['yaw.x0']
+    assert drawn['Command v [N m]'] == ['yaw.v']
+    areas = [area for area in ET.fromstring(made['plotjuggler_mcap.xml']).iter('DockArea')
+             if area.get('name').startswith('Error [')]
+    assert {area.get('name'): [curve.get('name') for curve in area.iter('curve')]
+            for area in areas} == {'Error [m]': ['surge.error', 'sway.error'],
+                                   'Error [rad]': ['yaw.error']}
+
+
+def test_what_looking_md_reads_from_a_message_is_the_number_it_names():
+    text = (ROOT / 'docs' / 'looking.md').read_text(encoding='utf-8')
+    machine = load_configuration('rov_planar', ['loop.duration=0.1'])
+    whole = from_runs(simulate_axes(machine), machine)
+    paths = re.findall(r'/(state|command)/data\[(\d+)\]', text)
+    named = re.search(r'rqt_plot .*# (.*)', text).group(1).split(', ')
+    assert len(paths) == len(named) == 2
+    for (topic, place), label in zip(paths, named, strict=True):
+        axis, _, field = label.partition('.')
+        assert np.array_equal(whole.channels[topic].values[:, int(place)],
+                              axis_run(whole, axis).channels[topic][field]), label
+
+
 @pytest.mark.parametrize(('words', 'reported'), [
-    (('six_axes',), '--axis'), (('six_axes', '--axis', 'jaw'), 'must be one of base, shoulder'),
+    (('six_axes', '--axis', 'jaw'), 'must be one of base, shoulder'),
     (('robust', '--axis', 'yaw'), 'the loop has one axis')])
 def test_an_axis_that_is_not_there_is_one_line_and_writes_nothing(tmp_path, words, reported):
     done = write_layouts(tmp_path / 'out', *words)

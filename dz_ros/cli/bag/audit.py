@@ -20,7 +20,7 @@ from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import load_configuration
 from dz_ros.replay.audit.audit import audit
 from dz_ros.replay.audit.result import AuditResult, FieldResult
-from dz_ros.runs.axes import each_axis
+from dz_ros.runs.axes import axis_name, each_axis
 
 FAILED = 1
 
@@ -54,6 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
     axes = configuration.axis_names if configuration is not None else ()
     results = {}
     runs = each_axis(read_recording(arguments.run, arguments.namespace))
+    if arguments.axis and '' in runs and axis_name(runs['']) == arguments.axis:
+        runs = {arguments.axis: runs['']}
     if arguments.axis is not None and arguments.axis not in runs:
         raise ConfigurationError('--axis', arguments.axis,
                                  'the run has one axis, without a name' if '' in runs

@@ -36,8 +36,9 @@ from dz_ros.replay.whatif import (
     plan_axes,
     plan_axis,
 )
-from dz_ros.report.compare import compare, write_comparison
-from dz_ros.runs.axes import axis_run, choose_axis
+from dz_ros.report.axes import write_comparisons
+from dz_ros.report.compare import compare
+from dz_ros.runs.axes import axis_name, axis_run, choose_axis, named_axis
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--record', type=Path, metavar='DIR',
                         help='write the answer as a recording; must not exist')
     parser.add_argument('--out', type=Path, metavar='DIR',
-                        help='where the comparison goes; an older one there is replaced '
+                        help='where the comparison goes, of several axes the summary, with a '
+                             'page in a folder for each axis; an older one there is replaced '
                              '(default: RUN-whatif)')
 
 
@@ -118,7 +120,7 @@ def _one_axis(arguments: argparse.Namespace, data: RunData, planned: Plan,
     done = simulate_offline(planned.configuration, planned.memory)
     elapsed = time.perf_counter() - begin
     name = arguments.run.resolve().name
-    made = answer(planned, done, name, time.time_ns())
+    made = named_axis(answer(planned, done, name, time.time_ns()), axis_name(data))
     _record(arguments, made, planned.memory or done.configuration.law.initial_memory())
     out = arguments.out or beside(arguments.run, 'whatif')
     page = _compare(arguments, {'': data}, {'': made}, overrides, out)
@@ -166,32 +168,28 @@ def _record(arguments: argparse.Namespace, made: RunData, memory: Sequence[float
 
 def _compare(arguments: argparse.Namespace, runs: Mapping[str, RunData],
              made: Mapping[str, RunData], overrides: Mapping[str, Any],
-             out: Path) -> Sequence[Path]:
-    """Compare each axis, write its page, of several in a folder of its own; print the numbers."""
-    name, pages = arguments.run.resolve().name, []
-    for axis, data in runs.items():
-        with stage('comparing, drawing pictures'):
-            comparison = compare({name: data, 'what if': made[axis]}, window=window(arguments),
-                                 pulse=arguments.pulse)
-            pages.append(write_comparison(
-                comparison, out / axis if len(runs) > 1 else out,
-                title=f'{name}{f", axis {axis}" if axis else ""}, and what if '
-                f'{_words(overrides) or "fitted"}'))
-        if axis:
-            print_lines([f'axis {axis}'])
-        print_lines(side_by_side(comparison))
-    return pages
+             out: Path) -> Path:
+    """Compare each axis, write the page or pages; print the numbers, return the page to open."""
+    name = arguments.run.resolve().name
+    with stage('comparing, drawing pictures') as step:
+        comparisons = {axis: compare({name: data, 'what if': made[axis]},
+                                     window=window(arguments), pulse=arguments.pulse)
+                       for axis, data in runs.items()}
+        page = write_comparisons(comparisons, out, title=f'{name}, and what if '
+                                 f'{_words(overrides) or "fitted"}', progress=step)
+    print_lines(side_by_side(comparisons))
+    return page
 
 
 def _conclude(arguments: argparse.Namespace, data: RunData, notes: Sequence[str], done: str,
-              pages: Sequence[Path]) -> None:
+              page: Path) -> None:
     """Print notes, how long it took, and what was written."""
     print_lines(f'note: {text}' for text in notes)
     note_run(data)
     print_lines([done])
     if arguments.record is not None:
         print_lines([f'recording: {arguments.record}'])
-    print_lines(f'comparison: {page}' for page in pages)
+    print_lines(f'comparison: {page}')
 
 
 def fit_lines(fit: Fit) -> Iterator[str]:

@@ -221,8 +221,8 @@ def _attempt(step: str, state: State) -> bool:
         note(FAILED, str(failure), failure.result)
         print_lines(f'dz: error: {step}: {failure}', sys.stderr)
         return False
-    except DzRosError as error:
-        note(FAILED, ' '.join(str(error).split()), {})
+    except Exception as error:      # also what is a fault of ours: the page and the log show it
+        note(FAILED, ' '.join(str(error).split()) or type(error).__name__, {})
         raise
     note(DONE, found.words, found.result)
     print_lines(found.words)

@@ -80,13 +80,13 @@ def sensor_step(state: State) -> Outcome:
     pulses = Pulses(state.limits, state.answered.plan, c.plant.order, c.loop.period,
                     c.safety.safe_command, sides)
     samples = _moved(state, pulses, 'short pulses to both sides')
-    step = resolution(samples.x[:, 0])
+    step = samples.resolution or resolution(samples.x[:, 0])
     missing = float(np.mean(~np.isfinite(samples.x[:, 0])))
     units = c.make_driver().state_units
     found = {'resolution': step, 'noise': list(pulses.noise), 'missing': missing,
              'position': last_position(samples.x[:, 0])}
     try:
-        delay = find_delay(samples, c, pulses.moving)
+        delay = find_delay(samples.without_short_holes(), c, pulses.moving)
         found['delay'] = delay
         late = f'commands act {delay} samples late'
     except RecordingError as error:
@@ -109,7 +109,8 @@ def identify_step(state: State) -> Outcome:
     experiment = Experiment(state.limits, state.answered.plan, c.plant.order, c.loop.period,
                             c.safety.safe_command)
     samples = _moved(state, experiment,
-                     f'{experiment.plan.repeats} times ramps and steps both ways')
+                     f'{experiment.plan.repeats} times ramps and steps both ways'
+                     ).without_short_holes()
     with prompt_end(lambda: state.kept('identify')):
         try:
             found = identify(samples, c, experiment.moving)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+import sys
 import time
 
 from dz_ros.cli.check import FOUND_ERRORS
@@ -37,7 +38,7 @@ from dz_ros.core.dataset import RunData
 from dz_ros.core.design.finding import ERROR, worst
 from dz_ros.core.design.rules import check
 from dz_ros.drivers.beside import beside_others
-from dz_ros.errors import ConfigurationError, RunExistsError
+from dz_ros.errors import ConfigurationError, DriverError, RunExistsError
 from dz_ros.files.configurations import flat_parameters, write_parameters
 from dz_ros.identification.estimation.pipeline import (
     identify,
@@ -46,8 +47,9 @@ from dz_ros.identification.estimation.pipeline import (
 )
 from dz_ros.identification.estimation.static_friction import static_friction_note
 from dz_ros.identification.experiment.moves import Experiment
+from dz_ros.identification.experiment.session import NotLetGoError
 from dz_ros.identification.proposal import propose
-from dz_ros.identification.samples import Samples, to_run
+from dz_ros.identification.samples import HOLE, Samples, to_run
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -78,8 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.run is None:
         c, moving, samples = _moved(arguments, out)
         breakaway = [v for _, v in moving.breakaway]
-        kept = [f'the moves are kept in {out / "run"}; dz driver identify --from {out / "run"} '
-                'goes on']
+        kept = [_kept(out)]
     else:
         kept = [NOTHING_KEPT]
     with prompt_end(lambda: kept[0]):
@@ -92,6 +93,9 @@ def run(arguments: argparse.Namespace) -> int:
                 samples, found = identify_log(data, c)
             _begin(out)         # a run that cannot be used leaves nothing behind
             kept = [_incomplete(out)]
+        if samples.filled:
+            print_lines(f'{samples.filled} of {len(samples.seq)} samples were not measured: holes '
+                        f'of up to {HOLE * 1e3:.0f} ms, filled from their neighbours')
         print_lines(result_lines(found, c))
         with stage('refining the plant'):
             fitted, problem = refine_identified(found, samples, c)
@@ -113,7 +117,8 @@ def _moved(arguments: argparse.Namespace,
 
     Raises:
         ConfigurationError: Limits that are missing or not allowed.
-        DriverError: The device fails, or it was stopped.
+        DriverError: The device fails, or it was stopped; or it could not be let go after the
+            moves, which are kept.
         KeyboardInterrupt: It was stopped by Ctrl-C.
     """
     if arguments.config is None:
@@ -126,10 +131,16 @@ def _moved(arguments: argparse.Namespace,
     hosted = beside_others(machine, arguments.axis, all_faults=True)
     ask(c, limits, plan, experiment.duration, arguments.yes, hosted)
     start_ns = time.time_ns()
+    held: NotLetGoError | None = None
     try:
         samples = move(c, experiment, arguments.namespace, hosted=hosted)
     except KeyboardInterrupt as end:
         raise KeyboardInterrupt('; '.join(filter(None, (str(end), NOTHING_KEPT)))) from None
+    except NotLetGoError as error:
+        if error.samples is None:
+            raise
+        held, samples = error, error.samples
+        print_lines(f'warning: {error}', sys.stderr)    # whatever becomes of the moves
     made = to_run(samples, c, start_ns)
     if experiment.stalls:
         print_lines(f'the machine stalled {len(experiment.stalls)} times, for up to '
@@ -141,7 +152,14 @@ def _moved(arguments: argparse.Namespace,
 
         _begin(out)             # the moves are kept, whatever comes of them
         save_run(made, out / 'run')
-    return c, experiment, samples
+    if held is not None:
+        raise DriverError(f'{held}; {_kept(out)}') from held
+    return c, experiment, samples.without_short_holes()
+
+
+def _kept(out: Path) -> str:
+    return (f'the moves are kept in {out / "run"}; dz driver identify --from {out / "run"} '
+            'goes on')
 
 
 def _incomplete(out: Path) -> str:

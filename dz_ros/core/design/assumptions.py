@@ -15,6 +15,7 @@ import math
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.along_reference import largest_derivatives
 from dz_ros.core.design.finding import Finding, INFO, WARNING
+from dz_ros.core.design.observation import observed_state
 from dz_ros.core.laws.base import Design
 
 SAME_SLOPE = 1e-4
@@ -101,7 +102,9 @@ def _span(bounds: Sequence[float]) -> str:
 
 def _plant(c: Configuration) -> Iterator[Finding]:
     """State, structure and input gain."""
-    yield Finding(INFO, 'state', f'stated: all {c.plant.order} states are measured')
+    observed = observed_state(c)
+    yield Finding(INFO, 'state', f'not assumed: {observed}; the theorem takes all states as '
+                  'measured' if observed else f'stated: all {c.plant.order} states are measured')
     yield Finding(INFO, 'structure', f'stated: {c.plant.regressor_count} known regressors Y_i '
                   'with constant weights a_i; what else acts on the plant is disturbance')
     low, high = c.controller_settings.b_bounds

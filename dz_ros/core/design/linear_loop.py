@@ -14,6 +14,8 @@ is below 1. Regressors, disturbance and dead-zone are inputs to it. The rule of
 Arguments named alike are the same everywhere: order n; lambda_ λ [1/s]; gain K, lead φ̂ Λ_v,n
 [actuator unit per unit of s]; period T [s]; beta β = b m [unit of x^(n) per actuator unit];
 delay d [samples]; observer: that of the velocity, None = all states are measured.
+
+Over 300 lines: margins and noise are two questions to the same matrix.
 """
 
 from __future__ import annotations
@@ -139,6 +141,59 @@ def loop_matrix(model: LayerModel, period: float, beta: float, delay: int,
     return np.asarray(_matrices(parts, np.array([beta]), delay)[0])
 
 
+@dataclass(frozen=True)
+class _Noise:
+    """The loop driven by white noise ν on what is measured, ζ_{k+1} = A ζ_k + N ν_k.
+
+    Attributes:
+        matrix, spread: A and N.
+        covariance: Of the stationary ζ, P = A P Aᵀ + N Σ Nᵀ.
+        command, through: v_k = command ζ_k + through ν_k.
+        measured, direct: The error as the law has it, measured ζ_k + direct ν_k.
+    """
+
+    matrix: Array
+    spread: Array
+    covariance: Array
+    command: Array
+    through: Array
+    measured: Array
+    direct: Array
+
+
+def _noise(model: LayerModel, period: float, beta: float, delay: int, sigma: Array,
+           observer: LinearObserver | None) -> _Noise | None:
+    """Return the loop under noise of standard deviation sigma; None = it is not calm."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        parts = _parts(model, period, delay, observer)
+        matrix = _matrices(parts, np.array([beta]), delay)[0]
+    if not np.isfinite(matrix).all() or not np.abs(np.linalg.eigvals(matrix)).max() < 1.0:
+        return None
+    _, powers, factorials, command = parts
+    n, p = model.b.shape[1], len(model.c)
+    seen = 0 if observer is None else len(observer.gain)
+    measured, direct = np.eye(n, len(matrix)), np.eye(n)
+    spread = np.zeros((len(matrix), n))
+    if observer is not None:
+        spread[n:n + seen, n - 2] = observer.gain
+        measured[n - 1], direct[n - 1] = parts[0][n + 1], spread[n + 1]
+    through = model.d @ direct
+    spread[n + seen:n + seen + p] = model.b @ direct
+    if delay:
+        spread[n + seen + p] = through
+    else:
+        spread[:n] = np.outer(beta * powers / factorials, through)
+    power, root = matrix, spread * sigma
+    covariance = root @ root.T
+    with np.errstate(over='ignore', invalid='ignore'):
+        while np.abs(power).max() > NEGLIGIBLE:     # P of 2^i terms from P of half as many
+            covariance = covariance + power @ covariance @ power.T
+            power = power @ power
+    if not np.isfinite(covariance).all():       # at radius 1 but for rounding
+        return None
+    return _Noise(matrix, spread, covariance, command, through, measured, direct)
+
+
 def noise_variation(model: LayerModel, period: float, beta: float, delay: int,
                     sigma: Sequence[float]) -> float:
     """Return the total variation per second that white noise on the states gives v in the loop.
@@ -150,28 +205,37 @@ def noise_variation(model: LayerModel, period: float, beta: float, delay: int,
     All states are measured, each with noise of its own of standard deviation sigma [state units],
     shape (n,). inf where the loop is not calm, for no noise bounds it then [actuator unit / s].
     """
-    parts = _parts(model, period, delay, None)
-    matrix = _matrices(parts, np.array([beta]), delay)[0]
-    if not np.abs(np.linalg.eigvals(matrix)).max() < 1.0:
-        return math.inf
-    _, powers, factorials, command = parts
-    n, p = model.b.shape[1], len(model.c)
-    spread = np.zeros((len(matrix), n))
-    spread[n:n + p] = model.b
-    if delay:
-        spread[n + p] = model.d
-    else:
-        spread[:n] = np.outer(beta * powers / factorials, model.d)
     scale = np.asarray(sigma, dtype=float)
-    power, root = matrix, spread * scale
-    covariance = root @ root.T
-    while np.abs(power).max() > NEGLIGIBLE:     # P of 2^i terms from P of half as many
-        covariance = covariance + power @ covariance @ power.T
-        power = power @ power
-    row = command @ matrix - command
-    square = (row @ covariance @ row + np.square((command @ spread - model.d) * scale).sum()
-              + np.square(model.d * scale).sum())
+    found = _noise(model, period, beta, delay, scale, None)
+    if found is None:
+        return math.inf
+    row = found.command @ found.matrix - found.command
+    square = (row @ found.covariance @ row
+              + np.square((found.command @ found.spread - found.through) * scale).sum()
+              + np.square(found.through * scale).sum())
     return math.sqrt(2.0 / math.pi * float(square)) / period
+
+
+def noise_of_surface(model: LayerModel, lambda_: float, period: float, beta: float, delay: int,
+                     sigma: Sequence[float], observer: LinearObserver | None = None) -> float:
+    """Return the standard deviation that white noise on the states gives s in the loop.
+
+    Of the s that the law computes, s_k = Λ (M ζ_k + E ν_k): σ² = ‖Λ M‖²_P + ‖Λ E‖²_Σ. Near its
+    limit the loop amplifies the noise to a multiple of what the sensors alone give s.
+
+    sigma is that of each state as it is measured [state units], shape (n,); with an observer that
+    of the last one is not used. inf where the loop is not calm [unit of x^(n−1)].
+    """
+    scale = np.array(sigma, dtype=float)
+    if observer is not None:
+        scale[-1] = 0.0
+    found = _noise(model, period, beta, delay, scale, observer)
+    if found is None:
+        return math.inf
+    weights = np.array(error_weights(lambda_, len(scale)))
+    row = weights @ found.measured
+    return math.sqrt(float(row @ found.covariance @ row
+                           + np.square(weights @ found.direct * scale).sum()))
 
 
 def _radii(model: LayerModel, period: float, delay: int,

@@ -50,6 +50,16 @@ def observer_of(c: Configuration, gain: float | None = None) -> Observer:
     return OBSERVERS[settings.observer_kind](omega)
 
 
+def observed_state(c: Configuration) -> str:
+    """Return as text which state the loop observes and how; '' where all are measured."""
+    measured, order = c.make_driver().measured, c.plant.order
+    if measured >= order:
+        return ''
+    observer = observer_of(c)
+    return (f'{measured} of {order} states are measured, x{order - 1} is observed '
+            f'({observer.name}, {observer.omega:.4g} rad/s)')
+
+
 def linear_observer(c: Configuration, measured: int,
                     gain: float | None = None) -> LinearObserver | None:
     """Return the observer of the velocity as part of the loop's matrix.
@@ -63,10 +73,9 @@ def linear_observer(c: Configuration, measured: int,
     return type(observer).linear(observer.omega, c.loop.period)
 
 
-def sensor_noise(c: Configuration, resolution: float) -> float:
-    """Return σ of what the velocity is observed from, noise and steps [unit of x^(n−2)]."""
-    steps = resolution / math.sqrt(12.0) if c.plant.order == 2 else 0.0
-    return math.hypot(c.noise[c.plant.order - 2], steps)
+def sensor_noise(c: Configuration, steps: Sequence[float]) -> float:
+    """Return σ of what the velocity is observed from [unit of x^(n−2)]; as of `state_noise`."""
+    return state_noise(c, steps)[c.plant.order - 2]
 
 
 def measured_steps(driver: Any) -> tuple[float, ...]:
@@ -86,20 +95,31 @@ def state_noise(c: Configuration, steps: Sequence[float]) -> tuple[float, ...]:
                  for sigma, step in zip(c.noise, padded, strict=False))
 
 
+def observed_noise(c: Configuration, steps: Sequence[float]) -> float:
+    """Return σ_s that an observed velocity leaves at most [unit of s]; ∞ if it is not linear."""
+    design, linear = c.law.design, linear_observer(c, c.plant.order - 1)
+    if design is None or linear is None:
+        return math.inf
+    return _passed(design.lambda_, c.plant.order, linear) * sensor_noise(c, steps)
+
+
+def _passed(slope: float, order: int, observer: LinearObserver) -> float:
+    """Return how many times the noise of x^(n−2) is seen in s, Λ_n−1 + G."""
+    return float(error_weights(slope, order)[-2] + noise_gain(observer))
+
+
 def check_observer(c: Configuration, measured: int,
-                   resolution: float | None = None) -> Iterator[Finding]:
+                   steps: Sequence[float]) -> Iterator[Finding]:
     """Check the observer against the layer.
 
-    `measured`: number of measured states; `resolution`: one step of the position sensor, None =
-    `driver.resolution`.
+    `measured`: number of measured states; `steps` as of `state_noise`.
     """
     design, n, period = c.law.design, c.plant.order, c.loop.period
     if measured >= n or design is None or design.epsilon <= 0.0:
         return
     known, observer = c.controller_settings, observer_of(c)
-    sigma = sensor_noise(c, c.driver_settings.resolution if resolution is None else resolution)
+    sigma = sensor_noise(c, steps)
     omega, kind = observer.omega, type(observer)
-    weight = error_weights(design.lambda_, n)[-2]
     room = SHARE * design.epsilon
     betas = tuple(b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
     model, delay = c.law.layer_model(), c.loop.delay
@@ -117,7 +137,7 @@ def check_observer(c: Configuration, measured: int,
         assert found is not None
         return found
 
-    passes = weight + noise_gain(own)
+    passes = _passed(design.lambda_, n, own)
     low, high = (spectral_radius(model, period, beta, delay, own) for beta in betas)
     tried = [(float(rate), linear(float(rate))) for rate in _GRID]
 
@@ -128,7 +148,7 @@ def check_observer(c: Configuration, measured: int,
 
     # A rate that is calm without delay alone is none to propose: real loops have a sample of it.
     calm = calm_with(*{delay, max(delay, 1)}) or calm_with(delay)
-    quiet = [rate for rate, item in tried if sigma * (weight + noise_gain(item)) <= room]
+    quiet = [rate for rate, item in tried if sigma * _passed(design.lambda_, n, item) <= room]
     numbers = {'omega': omega, 'noise_gain': passes, 'noise': sigma, 'radius': high,
                'noise_limit': room / passes}
     words = (f'the velocity is observed by {kind.name} at {omega:.4g} rad/s: s shows '

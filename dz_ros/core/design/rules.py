@@ -84,7 +84,7 @@ def check(configuration: Configuration, disturbance: float | None = None,
 def _layer(c: Configuration, design: Design, driver: Any, complaints: bool) -> Iterator[Finding]:
     """Chatter, observer and guard."""
     yield from _chatter(c, design, complaints, linear_observer(c, driver.measured))
-    yield from check_observer(c, driver.measured, driver.resolution)
+    yield from check_observer(c, driver.measured, measured_steps(driver))
     yield from check_guard(c, driver.measured, measured_steps(driver))
 
 

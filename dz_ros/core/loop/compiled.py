@@ -10,9 +10,10 @@ inlined; a user's plant or law that does allocate is compiled with it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import cache
+import gc
 from importlib.util import find_spec
 import sys
 from types import FunctionType
@@ -105,6 +106,19 @@ def _quick(function: Callable[..., Any]) -> Callable[..., Any]:
     return made if hasattr(made, 'py_func') else function
 
 
+@contextmanager
+def _uncollected(compiling: bool) -> Iterator[None]:
+    """Collect no garbage while numba compiles: it looks through what is all in use."""
+    compiling = compiling and gc.isenabled()
+    if compiling:
+        gc.disable()
+    try:
+        yield
+    finally:
+        if compiling:
+            gc.enable()
+
+
 def _not_installed() -> MissingDependencyError:
     return MissingDependencyError("numba is not installed: pip install 'dz_ros[numba]', or go "
                                   'without; the numbers are the same')
@@ -124,7 +138,8 @@ def _compiled_loop(configuration: Configuration) -> Loop:
     def run(*arguments: Any) -> None:
         nonlocal loop
         try:
-            loop(*arguments)
+            with _uncollected(not getattr(loop, 'signatures', True)):
+                loop(*arguments)
         except (NumbaError, KeyError):      # before anything has run; KeyError: unknown option
             loop = made(True)
             loop(*arguments)

@@ -9,10 +9,9 @@ states and memories of the others from before the step.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-import math
 from typing import Any
 
-from dz_ros.core.axes import Rows
+from dz_ros.core.axes import all_finite, Rows
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws.base import Law
 from dz_ros.core.loop.controller import Controller, ViolationError
@@ -131,7 +130,7 @@ class Controllers:
 
     def set_reference(self, reference: Rows) -> None:
         """Take the references of all axes; where one is not finite none is taken."""
-        if all(math.isfinite(number) for row in reference for number in row.x_d):
+        if all_finite([row.x_d for row in reference]):
             for item, row in zip(self.each, reference, strict=True):
                 item.set_reference(row)
         else:
@@ -144,7 +143,7 @@ class Controllers:
             LookupError: No reference has arrived yet.
             ViolationError: An axis must not take the step, which is named; none has taken it.
         """
-        if not all(math.isfinite(number) for row in state for number in row.x):
+        if not all_finite([row.x for row in state]):
             self.each[0].ignored['not_finite'] += 1
             return None
         if self._coupled and self.has_reference:

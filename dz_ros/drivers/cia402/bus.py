@@ -48,6 +48,11 @@ _AWAKE = 0.03
 """A process that checks the heartbeat less often than this was asleep [s]."""
 SWING = 0.05
 """Change of the target, of the largest one, that shows in the torque of a drive."""
+MISSED = (0x8100, 0x8110, 0x8130, 0x8200, 0x8250)
+"""Error codes of a drive that has missed messages (CiA 301): communication, overrun, heartbeat,
+protocol, RPDO timeout."""
+_REGISTER = 0x11
+"""Bits of the error register that go with them: generic, communication."""
 _MALFORMED = 10
 """PDOs of another length in a row that are another mapping, not noise."""
 
@@ -86,6 +91,8 @@ class DriveBus:
         self.position = Position(float(p.counts_per_rev))
         self._swing = SWING * self.scaling.largest
         self._fault = ''
+        self._lasting = False
+        self._codes: set[int] = set()
         self._news = threading.Condition()
         self.network: Any = None
         self._sdo: Sdo | None = None
@@ -279,17 +286,23 @@ class DriveBus:
         if slept > _AWAKE and self._heartbeat_at < now:
             self._heartbeat_at = min(self._heartbeat_at + slept, now)
         if now - self._heartbeat_at > self.parameters.heartbeat_hold:
-            self.complain(f'no heartbeat for {self.parameters.heartbeat_hold:g} s')
+            self.complain(f'no heartbeat for {self.parameters.heartbeat_hold:g} s', False)
 
     @property
     def fault(self) -> str:
         """The first thing that went wrong, or ''."""
         return self._fault
 
-    def complain(self, text: str) -> None:
-        """Keep a fault; the first one counts."""
+    def complain(self, text: str, lasting: bool = True) -> None:
+        """Keep a fault; the first one counts.
+
+        Args:
+            text: What is wrong.
+            lasting: Whether it cannot be what a stall of this machine causes.
+        """
         with self._news:
             self._fault = self._fault or text
+            self._lasting = self._lasting or lasting
             self._news.notify_all()
 
     def complain_if(self, text: str) -> None:
@@ -299,7 +312,26 @@ class DriveBus:
 
     def forget_fault(self) -> None:
         """Start again."""
-        self._fault = ''
+        self._fault, self._lasting = '', False
+        self._codes.clear()
+
+    def lost_us(self) -> bool:
+        """Return whether all that is wrong is that the drive has missed our messages.
+
+        It reports that itself, by EMCY or 603Fh (`MISSED`), or nothing is wrong with it.
+
+        Raises:
+            DriverError: It does not answer.
+        """
+        if self._lasting or self.restarted or self.broken:
+            return False
+        self.take_status(self.sdo.read(objects.STATUSWORD))
+        codes, tripped = set(self._codes), self.state in (DriveState.FAULT, DriveState.REACTING)
+        if tripped:     # else it is an old one
+            codes |= {self.sdo.read_optional(objects.ERROR_CODE) or 0} - {0}
+        if not codes:
+            return not (tripped or self._fault)
+        return codes.issubset(MISSED)
 
     # What canopen's thread brings.
 
@@ -370,15 +402,16 @@ class DriveBus:
         if state != OPERATIONAL:
             name = NMT_STATES.get(state, str(state))
             self.complain(f'the drive has left NMT state operational: {name}{why}; it takes no '
-                          'commands, the safe one included')
+                          'commands, the safe one included', bool(why))
 
     def _on_emcy(self, _identifier: int, data: bytearray, _stamp: float) -> None:
         if len(data) < 3:
             return      # a SYNC, where the node id is 0, or nonsense
         code, register = struct.unpack_from('<HB', data)
         if code & 0xFF00:
+            self._codes.add(code)
             from canopen.emcy import EmcyError
 
             meaning = EmcyError(code, register, b'', 0.0).get_desc()
             self.complain(f'EMCY {code:04X}h ({meaning or "unknown"}), error register '
-                          f'{register:02X}h')
+                          f'{register:02X}h', code not in MISSED or bool(register & ~_REGISTER))

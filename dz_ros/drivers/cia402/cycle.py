@@ -21,42 +21,13 @@ from typing import TYPE_CHECKING
 
 from dz_ros.drivers.cia402.bus import DriveBus, HEARTBEAT, OPERATIONAL
 from dz_ros.drivers.cia402.states import Controlword, DriveState, Goal, Walk
+from dz_ros.drivers.phase import Phase
 
 if TYPE_CHECKING:
     from dz_ros.drivers.cia402.shared_bus import SharedBus
 
 _RESET_TIME = 0.05
 """The fault reset is asked for again after this [s]: it is the edge that counts."""
-
-
-class Phase:
-    """When loop time 0 was on the steady clock: early samples are followed, late ones hardly.
-
-    Args:
-        period: T [s].
-    """
-
-    EARLIER, LATER = 0.3, 0.02
-    RESTART = 1.0
-    """Loop time that is off by more than this has restarted [s]."""
-
-    def __init__(self, period: float) -> None:
-        self._period = period
-        self._zero: float | None = None
-
-    def sample_ended(self, now: float, t: float) -> float:
-        """Note at `now` that a sample ends at loop time t [s]; return when that was [s]."""
-        off = math.inf if self._zero is None else now - t - self._zero
-        if self._zero is None or abs(off) > self.RESTART:
-            self._zero = now - t
-        else:
-            self._zero += off * (self.EARLIER if off < 0.0 else self.LATER)
-        return self._zero + t
-
-    def next(self, now: float, lead: float) -> float:
-        """Return the instant `lead` before a sample that is later than half a period from now."""
-        base = now if self._zero is None else self._zero - lead
-        return base + (math.floor((now - base) / self._period + 0.5) + 1.0) * self._period
 
 
 class DriveCycle:
@@ -156,7 +127,7 @@ class DriveCycle:
         state = drive.state
         word, wrong = self.walk.look(state, drive.received_at, now)
         if wrong:
-            drive.complain(wrong)
+            drive.complain(wrong, state not in (DriveState.FAULT, DriveState.REACTING))
         if resetting and state is DriveState.FAULT:
             edge = int(now / _RESET_TIME) % 2 == 0
             word = Controlword.FAULT_RESET if edge else Controlword.DISABLE_VOLTAGE

@@ -12,9 +12,9 @@ Sources: CiA 301 (CANopen), CiA 402 / IEC 61800-7-201 (drives). What each part d
 The safe state is the drive's own quick stop. Whatever the drive complains of (EMCY, fault, a
 heartbeat that stays away, a boot-up message, any NMT state but operational, another mode of
 operation, answers that contradict each other, a bus that is gone) is a fault that lasts until
-`recover`; meanwhile the drive is asked for its quick stop, by SDO where it takes no PDOs.
-Where it receives nothing, that is reported instead of a safe command. The
-drive in turn stops by itself when commands or our heartbeat stay away.
+`recover`, or `resume` where it has but missed our messages; meanwhile the drive is asked for its
+quick stop, by SDO where it takes no PDOs. Where it receives nothing, that is reported instead of a
+safe command. The drive in turn stops by itself when commands or our heartbeat stay away.
 
 Over 300 lines: the whole contract of a driver, and what of it waits for the drive.
 """
@@ -44,10 +44,11 @@ from dz_ros.drivers.cia402.states import (
 )
 from dz_ros.drivers.contract import Driver
 from dz_ros.drivers.freshness import Freshness
+from dz_ros.drivers.phase import nearest
 from dz_ros.errors import ConfigurationError, DriverError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from dz_ros.core.configuration import Configuration
     from dz_ros.core.records import Truth
@@ -258,8 +259,7 @@ class Cia402(Driver):
             return None
         x, now = found.x, time.monotonic()
         if self.parameters.extrapolate:
-            # No loop, or one that waits: there is no sample but now.
-            sample = self.sample_at if abs(now - self.sample_at) < self._period else now
+            sample = nearest(self.sample_at, now, self._period)
             x = self._freshness.advanced(x, found.speed, sample - found.synced_at)
         return (x, found.speed)[:self.measured]
 
@@ -269,7 +269,7 @@ class Cia402(Driver):
         if bus is None:
             return 'not connected'
         if not bus.fault and bus.state in (DriveState.FAULT, DriveState.REACTING):
-            bus.complain('the drive is in fault')
+            bus.complain('the drive is in fault', False)
         return bus.fault
 
     def recover(self) -> None:
@@ -279,24 +279,25 @@ class Cia402(Driver):
             DriverError: The bus or the drive is not there, the fault lasts, or the position is
                 lost.
         """
-        bus, cycle = self._open()
-        cycle.want(Goal.SAFE)
+        self._recover(self._open()[0], lambda: None)
+
+    def resume(self) -> None:
+        """Go on where the drive has missed our messages and reports nothing else.
+
+        Raises:
+            DriverError: As `recover`, or another fault: a trip of the drive, a restart, a bus that
+                is gone, what another master or a hand at the drive has done.
+        """
+        bus, _ = self._open()
+
+        def check() -> None:
+            if not bus.lost_us():
+                why = bus.fault or ('has restarted' if bus.restarted else 'is in fault')
+                raise DriverError(f'{bus.place}: {why}')
+
         if bus.broken:
-            self._reconnect(bus)
-        bus.look_for_restart()
-        absolute, position = self.parameters.absolute_encoder, bus.position
-        if (bus.restarted or position.lost) and (position.narrow or not absolute):
-            what = 'has restarted and has lost' if bus.restarted else 'has lost'
-            why = (f'its counter has {position.modulus} values' if position.narrow
-                   else 'driver.absolute_encoder = false')
-            raise DriverError(f'{bus.place}: {what} its position ({why}): home it, then start the '
-                              'loop again')
-        bus.configure()
-        if self._enabled:
-            self.enable()
-        else:
-            bus.forget_fault()
-            self._leave_fault()
+            check()
+        self._recover(bus, check)
 
     def applied_command(self) -> float | None:
         """Ask the drive for its demand value; waits for the answer."""
@@ -361,6 +362,28 @@ class Cia402(Driver):
                                           and stopped(cycle.goal, bus.state)):
             return ''
         return bus.deaf or f'the drive remains {_name(bus.state)}'
+
+    def _recover(self, bus: DriveBus, check: Callable[[], None]) -> None:
+        """Recover as far as a check, which raises, allows."""
+        self._open()[1].want(Goal.SAFE)
+        if bus.broken:
+            self._reconnect(bus)
+        bus.look_for_restart()
+        check()
+        absolute, position = self.parameters.absolute_encoder, bus.position
+        if (bus.restarted or position.lost) and (position.narrow or not absolute):
+            what = 'has restarted and has lost' if bus.restarted else 'has lost'
+            why = (f'its counter has {position.modulus} values' if position.narrow
+                   else 'driver.absolute_encoder = false')
+            raise DriverError(f'{bus.place}: {what} its position ({why}): home it, then start the '
+                              'loop again')
+        bus.configure()
+        check()
+        if self._enabled:
+            self.enable()
+        else:
+            bus.forget_fault()
+            self._leave_fault()
 
     def _reconnect(self, bus: DriveBus) -> None:
         """Leave the bus that is gone and connect again, with all its drives."""

@@ -19,8 +19,9 @@ import time
 from typing import Any, Protocol, TypeVar
 
 from dz_ros.core.configuration import Configuration
+from dz_ros.drivers.freshness import BASELINE
 from dz_ros.drivers.serial.link import Link
-from dz_ros.drivers.serial.protocol import Info, Mode, Request
+from dz_ros.drivers.serial.protocol import Info, Mode, Request, State
 from dz_ros.drivers.serial.settings import motors_of, SerialParameters
 from dz_ros.drivers.serial.state_monitor import Wish
 from dz_ros.errors import DriverError
@@ -78,7 +79,7 @@ class Board:
         self._patience = shared.patience
         self._absolute = all(item.driver_parameters.absolute_encoder for item in each)
         self.link = Link(shared.port, shared.baudrate, round(1e6 / shared.device_rate),
-                         shared.silence, len(each))
+                         shared.silence, len(each), BASELINE * each[0].loop.period)
         self.powered = False
         self.axes: dict[int, Axis] = {}
         self._wishes: dict[int, tuple[Request, int, int]] = {}
@@ -86,6 +87,11 @@ class Board:
         self._work: Callable[[], Any] | None = None
         self._asked: set[int] = set()
         self._result: Any = None
+
+    def measure(self) -> tuple[State, float, float, float] | None:
+        """Return the newest state, when it arrived and was measured, and now [s]; or None."""
+        found = self.link.newest()
+        return None if found is None else (*found, time.monotonic())
 
     def once(self, motor: int, work: Callable[[], Result]) -> Result:
         """Return what work returns that is done once for all axes.

@@ -26,9 +26,11 @@ import time
 from typing import Any
 
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.records import Truth
 from dz_ros.core.safety.health import Level, Report
 from dz_ros.drivers.contract import Driver
 from dz_ros.drivers.freshness import Freshness
+from dz_ros.drivers.phase import Phase
 from dz_ros.drivers.serial.board import Board, RefusedError
 from dz_ros.drivers.serial.link import Link
 from dz_ros.drivers.serial.protocol import (
@@ -68,6 +70,7 @@ class Serial(Driver):
         self.motor = motor
         self._board = Board([configuration]) if board is None else board
         self._board.axes[motor] = self
+        self._phase = Phase(configuration.loop.period)
         self._scales: tuple[float, ...] = ()
         self.configure(configuration)
 
@@ -206,15 +209,30 @@ class Serial(Driver):
         """Return the safe command [counts]."""
         return self._counts(self.configuration.safety.safe_command)
 
+    def advance(self, t: float, seq: int) -> Truth | None:  # noqa: ARG002
+        """Learn when samples end: what is measured is brought there."""
+        self._phase.sample_ended(time.monotonic(), t)
+        return None
+
     def measure(self) -> tuple[float, ...] | None:
-        """Return the newest measurement, shape (measured,); None where none is fresh."""
-        found = self._board.once(self.motor, self.link.newest)
-        if found is None or not self._freshness.holds(found[1]):
+        """Return the newest measurement, shape (measured,); None where none is fresh.
+
+        x is brought from the instant of the state to that of the sample.
+        """
+        found = self._board.once(self.motor, self._board.measure)
+        if found is None:
             return None
-        counts = found[0].values[self.motor]
+        state, arrived, measured, now = found
+        if not self._freshness.holds(arrived, now):
+            return None
+        counts = state.values[self.motor]
         if len(counts) < len(self._scales):
             return None
-        return tuple(scale * count for scale, count in zip(self._scales, counts, strict=False))
+        x, *others = (scale * count for scale, count in zip(self._scales, counts, strict=False))
+        if self.parameters.extrapolate:
+            speed = others[0] if others else self._scales[0] * self.link.speed(self.motor)
+            x = self._freshness.advanced(x, speed, self._phase.near(now) - measured)
+        return (x, *others)
 
     def fault(self) -> str:
         """Return what is wrong with line, device or motor; a fault of another one is not."""

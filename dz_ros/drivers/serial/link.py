@@ -16,6 +16,7 @@ Over 300 lines: reader, writer and session share one lock and one state, which a
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 import secrets
@@ -24,6 +25,7 @@ import time
 from typing import Any
 
 from dz_ros.core.counted_log import Counted
+from dz_ros.drivers.serial.device_clock import between, DeviceClock
 from dz_ros.drivers.serial.framing import pack, Receiver
 from dz_ros.drivers.serial.protocol import (
     Command,
@@ -59,6 +61,7 @@ class Link:
         period_us: Interval between states [µs].
         silence: A device without a new state or an answer for longer is greeted again [s].
         motors: Number of motors that the device must have.
+        baseline: Time over which `speed` is taken [s].
 
     Attributes:
         counts: States taken and connections.
@@ -70,10 +73,11 @@ class Link:
     """
 
     def __init__(self, port: str, baudrate: int, period_us: int, silence: float,
-                 motors: int) -> None:
+                 motors: int, baseline: float) -> None:
         self.port, self.baudrate, self.period_us = port, baudrate, period_us
         self._silence = silence
         self.motors = motors
+        self._baseline = baseline
         self.counts = dict.fromkeys(('states', 'connections'), 0)
         self.refused = Counted()
         self.monitor = StateMonitor(self.refused)
@@ -83,7 +87,9 @@ class Link:
         self._serial: Any = None
         self._receiver = Receiver(self.refused)
         self._session = 0
-        self._state: tuple[State, float] | None = None
+        self._state: tuple[State, float, float] | None = None
+        self._clock = DeviceClock()
+        self._before: deque[State] = deque()
         self._wish: Wish | None = None
         self._last_wish: Wish | None = None
         self.seq = 0
@@ -142,9 +148,20 @@ class Link:
             self._wish = wish
             self._news.notify_all()
 
-    def newest(self) -> tuple[State, float] | None:
-        """Return the newest state of this session and when it arrived [s, steady]."""
+    def newest(self) -> tuple[State, float, float] | None:
+        """Return the newest state of this session, when it came and was measured [s, steady]."""
         return self._state
+
+    def speed(self, motor: int) -> float:
+        """Return how fast the first value of a motor has changed of late [counts/s].
+
+        By the device's clock, over `baseline`; 0 where one state of the session is known.
+        """
+        with self._news:
+            first, last = self._before[0], self._before[-1]
+        passed = between(first, last)
+        moved = last.values[motor][0] - first.values[motor][0]
+        return moved / passed if passed > 0.0 else 0.0
 
     def taken(self) -> Wish | None:
         """Return the newest wish that the device has confirmed; None = not known."""
@@ -290,7 +307,13 @@ class Link:
             return
         taken, difference = self.monitor.take(state, now)
         if taken:
-            self._state = state, now
+            if self._state is None:
+                self._before.clear()
+                self._clock = DeviceClock()
+            self._before.append(state)
+            while len(self._before) > 1 and between(self._before[1], state) >= self._baseline:
+                self._before.popleft()
+            self._state = state, now, self._clock.measured(state, now)
             self.counts['states'] += 1
         self.broken = self.broken or difference
 

@@ -53,6 +53,9 @@ class SerialParameters:
     watchdog: float = parameter(0.0, 's', 'the device holds a command that long; 0 = '
                                 'safety.command_hold', minimum=0.0, maximum=MAX_HOLD_MS * 1e-3)
     fresh: float = fresh_parameter('state')
+    extrapolate: bool = parameter(True, '', 'bring x from the instant of the state to the sample '
+                                  "by the device's velocity; by what x has changed, where none is "
+                                  'taken', structural=True)
     silence: float = parameter(0.1, 's', 'a device that sends nothing new, or takes no command, '
                                'for that long has gone', minimum=0.01, structural=True)
     patience: float = parameter(5.0, 's', 'longest wait for the first answer; boards that start '

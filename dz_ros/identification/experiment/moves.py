@@ -27,7 +27,8 @@ Over 300 lines: the moves are one generator, whose parts hand on where they stop
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
+from functools import partial
 from itertools import pairwise
 import math
 import random
@@ -64,7 +65,7 @@ Moves = Generator[float, None, None]
 """Yields a command; resumed with the next measurement in the attributes."""
 
 
-class _BreachError(Exception):
+class _BreachError(DriverError):
     """A limit was passed; the text names it."""
 
 
@@ -149,22 +150,36 @@ class Experiment:
             place = self._random.uniform(-NEAR, NEAR) * self.limits.travel
             for i, (kind, side) in enumerate((('ramp', 1), ('ramp', -1), ('step', 1),
                                               ('step', -1))):
-                for _ in range(TRIES):
-                    self._stalled = False
-                    try:
-                        yield from self._towards(place, -side)
-                        self.repeat = repeat
-                        yield from self._move(kind, side, (repeat + i // 2) % 2 == 0)
-                    except _BreachError as breach:
-                        yield from self._back(str(breach))
-                    self.repeat = -1
-                    if not self._stalled:
-                        break
+                yield from self._tried(partial(self._measured, repeat, place, kind, side,
+                                               (repeat + i // 2) % 2 == 0))
             yield from self._rest(self.plan.pause * self._random.uniform(0.5, 1.5))
         try:
             yield from self._towards(0.0, 1 if self._x < 0.0 else -1)
         except _BreachError as breach:
             yield from self._back(str(breach))
+
+    def _measured(self, repeat: int, place: float, kind: str, side: int,
+                  coasting: bool) -> Moves:
+        """Go to where a move begins, and make it."""
+        yield from self._towards(place, -side)
+        self.repeat = repeat
+        yield from self._move(kind, side, coasting)
+
+    def _tried(self, make: Callable[[], Moves]) -> Moves:
+        """Make a move, again where the machine stalls in it; where a limit is passed go back.
+
+        Raises:
+            DriverError: As `_back`.
+        """
+        for _ in range(TRIES):
+            self._stalled = False
+            try:
+                yield from make()
+            except _BreachError as breach:
+                yield from self._back(str(breach))
+            self.repeat = -1
+            if not self._stalled:
+                break
 
     def _at_rest(self) -> Moves:
         """Measure the noise, and check that the device stays where it is.

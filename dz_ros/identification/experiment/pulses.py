@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 from dz_ros.errors import DriverError
 from dz_ros.identification.experiment.moves import Experiment, Moves, REST, SETTLE
@@ -113,18 +114,17 @@ class Pulses(Experiment):
         yield from self._at_rest()
         self._guarded = True
         for repeat in range(PULSES):
-            self.repeat = repeat
             for side in (1, -1) if repeat % 2 == 0 else (-1, 1):
-                yield from self._pulse(side, 1.0 + (ABOVE - 1.0) * (1.0 + repeat % 3))
-        self.repeat = -1
+                yield from self._tried(partial(self._pulse, repeat, side,
+                                               1.0 + (ABOVE - 1.0) * (1.0 + repeat % 3)))
 
-    def _pulse(self, side: int, share: float) -> Moves:
+    def _pulse(self, repeat: int, side: int, share: float) -> Moves:
         """Step to one side until the device has moved a little.
 
         Raises:
             WrongSignError: It moves the other way.
         """
-        self.kind, begun, t = 'pulse', self._x, 0.0
+        self.repeat, self.kind, begun, t = repeat, 'pulse', self._x, 0.0
         v = min(share * self._v[side], self.limits.effort)
         while (t < LONGEST and side * (self._x - begun) < LITTLE * self.limits.travel
                and abs(self._speed) < 0.5 * self._fast):

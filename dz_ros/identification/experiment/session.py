@@ -29,6 +29,10 @@ AFTER = 1.0
 an e-stop of the device and a fault of another axis, and the move made again [s]."""
 
 
+FIRST = 10.0
+"""A device has sent its first measurement by then [s]."""
+
+
 class StoppedError(DriverError):
     """The experiment was stopped.
 
@@ -40,6 +44,16 @@ class StoppedError(DriverError):
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
         self.reason, self.failed = reason, ''
+
+
+class NotLetGoError(DriverError):
+    """The moves are complete, the device could not be disabled or closed after them.
+
+    Attributes:
+        samples: What was measured; None before `run_session` has added it.
+    """
+
+    samples: Samples | None = None
 
 
 def run_session(configuration: Configuration, experiment: Experiment,
@@ -58,7 +72,8 @@ def run_session(configuration: Configuration, experiment: Experiment,
 
     Raises:
         DriverError: The device fails, takes less than the experiment's effort, or does not do
-            what it would have to, or cannot be disabled or closed afterwards.
+            what it would have to.
+        NotLetGoError: It cannot be disabled or closed after the moves.
         StoppedError: `stopped` gave a reason.
     """
     settings = configuration.safety
@@ -69,9 +84,11 @@ def run_session(configuration: Configuration, experiment: Experiment,
     rows: Rows = []
     try:
         _driven(configuration, experiment, driver, limiter, wait, stopped, rows)
-    except DriverError:
+    except DriverError as error:
         if kept is not None and rows:
             kept(_samples(rows, driver, configuration))
+        if isinstance(error, NotLetGoError):
+            error.samples = _samples(rows, driver, configuration)
         raise
     return _samples(rows, driver, configuration)
 
@@ -81,11 +98,15 @@ Rows = list[tuple[int, tuple[float, ...], float, int, str]]
 
 
 def _samples(rows: Rows, driver: HostedDriver | Beside, c: Configuration) -> Samples:
+    """Return the samples from the first measurement on; before it a device is being found."""
+    first = next((place for place, item in enumerate(rows) if math.isfinite(item[1][0])), 0)
+    rows = rows[first:]
     return Samples(np.array([item[0] for item in rows], dtype=np.int64),
                    np.array([item[1] for item in rows], dtype=float),
                    np.array([item[2] for item in rows], dtype=float),
                    np.array([item[3] for item in rows], dtype=np.int64),
-                   tuple(item[4] for item in rows), driver.measured, c.loop.period)
+                   tuple(item[4] for item in rows), driver.measured, c.loop.period,
+                   resolution=driver.driver.resolution)
 
 
 def _driven(configuration: Configuration, experiment: Experiment, driver: HostedDriver | Beside,
@@ -115,7 +136,7 @@ def _driven(configuration: Configuration, experiment: Experiment, driver: Hosted
     finally:
         let_go()        # what an interrupt has left, which came before the first one
     if failed:
-        raise DriverError(f'{NOT_LET_GO}: {failed}')
+        raise NotLetGoError(f'{NOT_LET_GO}: {failed}')
 
 
 def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver | Beside,
@@ -125,14 +146,16 @@ def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver | Besid
     nothing = (math.nan,) * c.plant.order
     seq, over, stall = 0, 0, -math.inf
     x: tuple[float, ...] | None = None
+    measured = resumed = False
     try:
         while over < LAST:
             x, due, seq = None, seq, wait(seq)
             t = seq * c.loop.period
             late = (seq - due) * c.loop.period
             experiment.stalled(late)
-            if late >= STALL:
+            if late >= STALL and not resumed:
                 stall = t
+            resumed = False
             driver.advance(t, seq)
             x = driver.measure(t)
             reason = stopped()
@@ -141,8 +164,13 @@ def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver | Besid
             fault = driver.fault()
             if fault and t - stall <= AFTER:    # once for each stall
                 stall, x, fault = -math.inf, None, driver.resume()
+                resumed = True      # the time that took is no stall
                 experiment.stalled(STALL)
                 limiter.safe(t)
+            measured = measured or x is not None
+            if not (fault or measured) and t > FIRST:
+                why = driver.absence()
+                fault = f'no measurement within {FIRST:g} s' + (f': {why}' if why else '')
             if fault:
                 raise DriverError(fault)
             v: float | None = limiter.output    # without a measurement, as before

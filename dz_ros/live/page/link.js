@@ -42,7 +42,7 @@ export class Link {
     const token = location.hash.slice(1);
     if (token) {        // out of the address bar, the screen and bookmarks
       sessionStorage.setItem('dz_ros-token', token);
-      history.replaceState(null, '', location.pathname);
+      history.replaceState(null, '', location.pathname + location.search);
     }
     return sessionStorage.getItem('dz_ros-token') || '';
   }
@@ -52,7 +52,8 @@ export class Link {
     socket.binaryType = 'arraybuffer';
     socket.onopen = () => {
       const seconds = window.innerWidth < 700 ? 120 : 3600;
-      socket.send(JSON.stringify({hello: 1, token: this.token, seconds}));
+      const axis = new URLSearchParams(location.search).get('axis') || '';
+      socket.send(JSON.stringify({hello: 1, token: this.token, seconds, axis}));
     };
     socket.onmessage = ({data}) => {
       this.received = performance.now();

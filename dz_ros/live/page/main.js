@@ -12,6 +12,7 @@ import {Plots} from './plots.js';
 import {condition, Tiles} from './readout.js';
 import {Scrub} from './scrub.js';
 import {RunStore, Store} from './store.js';
+import {address, showSummary} from './summary.js';
 import * as theme from './theme_switch.js';
 import {keys, View} from './view.js';
 import {seconds} from './words.js';
@@ -40,6 +41,11 @@ function hello(message) {
   document.title = `${message.title} – dz_ros`;
   document.body.dataset.mode = message.mode;
   page.title.textContent = message.title;
+  page.summary.hidden = message.mode !== 'axes';
+  if (message.mode === 'axes') {
+    showAll(message);
+    return;
+  }
   page.place.textContent = message.mode === 'run' ? message.runs.join('  ·  ')
     : `namespace ${message.namespace}, kept for ${message.minutes} min`;
   showAxes(message);
@@ -61,15 +67,33 @@ function hello(message) {
   else view.live();
 }
 
-// The axes of a loop of several. The one that is shown is the same for all viewers of this server.
+// The summary of recorded runs of several axes, in place of everything that is about one.
+function showAll(message) {
+  page.place.textContent = `axes ${message.axes.join(', ')}`;
+  page.skip.href = '#summary';
+  page.skip.textContent = 'Skip to the summary';
+  app.actions.allow(message);
+  app.stores = [];
+  app.plots = null;
+  app.tiles = null;
+  showSummary(page.summary, message);
+}
+
+// The axes of a loop of several. The one of a running loop is the same for all viewers of this
+// server; of recorded runs each has an address of its own.
 function showAxes(message) {
   const names = message.axes || [];
   page['axis-choice'].hidden = names.length < 2;
+  page['all-axes'].hidden = names.length < 2 || message.mode !== 'run';
   page.axis.replaceChildren(...names.map((name) => new Option(name, name)));
   page.axis.value = message.axis || '';
 }
 
 async function chooseAxis() {
+  if (app.hello.mode === 'run') {
+    location.assign(address(page.axis.value));
+    return;
+  }
   const answer = await app.link.ask('axis', {axis: page.axis.value});
   if (!answer.ok) page.axis.value = app.hello.axis;
 }
@@ -192,7 +216,8 @@ function wire() {
   page.png.addEventListener('click', () => png(app.hello.title, ...view.window));
   page.csv.addEventListener('click', () => csv(app.stores, app.hello.title, ...view.window,
                                                app.link));
-  window.addEventListener('keydown', keys(view, step));
+  const move = keys(view, step);
+  window.addEventListener('keydown', (event) => { if (app.hello?.mode !== 'axes') move(event); });
   theme.start(() => { app.plots?.redraw(); app.dirty = true; barsAt = 0; });
 }
 

@@ -61,7 +61,7 @@ export function condition({link, hello, status, rowsAt, stores, view, finished, 
     return ended?.('the server has ended') || ['off', 'NOT CONNECTED',
                                                link.reason || 'trying again every second', false];
   }
-  if (hello.mode === 'run') {
+  if (hello.mode === 'run' || hello.mode === 'axes') {
     return ['recorded', 'RECORDED', hello.runs.length > 1 ? 'two runs' : '', false];
   }
   if (link.silent) {

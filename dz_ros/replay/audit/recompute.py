@@ -28,6 +28,7 @@ from dz_ros.core.loop.controller import accepted_interval, Controller, SNAP, Ste
 from dz_ros.core.records import Reference, State, Status, Terms
 from dz_ros.core.signals import STATUS, TERM_NAMES
 from dz_ros.replay.audit.result import Integers, Reason, Tally
+from dz_ros.runs.axes import CUT_FROM
 from dz_ros.runs.setting import state_columns
 from dz_ros.runs.steps import column, StepTable
 
@@ -195,7 +196,7 @@ class Recomputation:
         earlier = steps.stamp[np.maximum(rows - 1, 0)].tolist()
         follows, first = self._follows[rows].tolist(), (steps.seq[rows] == 0).tolist()
         carried = before
-        alone = not self._others and 'axis' not in self._run.info
+        alone = not self._others and CUT_FROM not in self._run.info
         beside = None if alone or not law.coupled else self._beside(rows, c)
         if beside is not None:
             lacking = [item is None for item in beside]

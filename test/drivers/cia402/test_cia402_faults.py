@@ -32,8 +32,8 @@ def back(d, driver, until):
     """Recover and drive again."""
     driver.recover()
     assert driver.fault() == ''
-    driver.command(2.0, 0.0)
-    until(lambda: d.node.device.state is S.ENABLED and d.node.motor.target == 400)
+    until(lambda: driver.command(2.0, 0.0) or (
+        d.node.device.state is S.ENABLED and d.node.motor.target == 400))
     until(lambda: driver.measure() is not None)
 
 
@@ -128,6 +128,95 @@ def test_an_adapter_that_is_pulled_out_and_put_in_again(drive, until, monkeypatc
     assert driver.measure() is None
     monkeypatch.setattr(can, 'Bus', real)
     back(d, driver, until)
+
+
+def go_on(d, driver, until):
+    """Have the loop go on as after a stall of this machine, and drive again."""
+    until(lambda: d.node.device.state is S.FAULT)
+    driver.resume()
+    assert driver.fault() == ''
+    until(lambda: driver.command(2.0, 0.0) or (
+        d.node.device.state is S.ENABLED and d.node.motor.target == 400))
+
+
+def mute(driver):
+    """Have our messages not reach the bus, as in a stall; return a call that ends it."""
+    bus = driver.bus.network.bus
+    send, bus.send = bus.send, lambda *_words, **_more: None
+
+    def end():
+        bus.send = send
+    return end
+
+
+def test_a_drive_that_missed_our_messages_goes_on_after_a_stall(drive, until):
+    d = drive()
+    driver = moving(d, until)
+    end = mute(driver)
+    until(driver.fault)
+    end()
+    assert driver.fault().startswith(('EMCY 8130h', 'EMCY 8250h'))
+    go_on(d, driver, until)
+
+
+def test_so_does_one_whose_complaint_was_lost(drive, until):
+    d = drive()
+    driver = moving(d, until)
+    d.fault('bus-off', duration=2.5)
+    until(driver.fault)
+    until(lambda: 'end of fault bus-off' in d.reported)
+    go_on(d, driver, until)
+
+
+@pytest.mark.parametrize('fault', ['emcy', 'torque-off', 'restart', 'mode', 'local'])
+def test_what_no_stall_has_caused_waits_for_the_operator(drive, until, fault):
+    d = drive()
+    driver = moving(d, until)
+    d.fault(fault, duration=0.5)
+    until(lambda: driver.command(2.0, 0.0) or driver.fault())
+    held = driver.fault()
+    with pytest.raises(DriverError):
+        driver.resume()
+    assert driver.fault() == held
+
+
+@pytest.mark.parametrize(('code', 'register'), [(0x2310, 1), (0x8210, 1), (0x8130, 3)])
+def test_a_complaint_beside_missed_messages_waits_for_the_operator(drive, until, code, register):
+    import can
+    d = drive()
+    driver = moving(d, until)
+    end = mute(driver)
+    until(driver.fault)
+    p = d.configuration.driver_parameters
+    with can.Bus(interface='virtual', channel=p.channel) as other:
+        received = []
+        driver.bus.network.subscribe(0x80 + p.node_id, lambda *words: received.append(words))
+        other.send(can.Message(arbitration_id=0x80 + p.node_id, is_extended_id=False,
+                               data=code.to_bytes(2, 'little') + bytes((register, 0, 0, 0, 0, 0))))
+        until(lambda: received)
+    end()
+    with pytest.raises(DriverError, match='EMCY 8'):
+        driver.resume()
+    assert d.node.device.state in (S.FAULT, S.REACTING)
+    if code == 0x2310:
+        back(d, driver, until)
+
+
+def test_a_drive_that_lost_its_voltage_waits_though_it_missed_messages_too(drive, until):
+    import can
+    d = drive()
+    driver = moving(d, until)
+    d.fault('torque-off', duration=0.5)
+    until(lambda: driver.command(2.0, 0.0) or driver.fault())
+    p = d.configuration.driver_parameters
+    with can.Bus(interface='virtual', channel=p.channel) as other:
+        received = []
+        driver.bus.network.subscribe(0x80 + p.node_id, lambda *words: received.append(words))
+        other.send(can.Message(arbitration_id=0x80 + p.node_id, is_extended_id=False,
+                               data=bytes((0x50, 0x82, 1, 0, 0, 0, 0, 0))))
+        until(lambda: received)
+    with pytest.raises(DriverError, match='by itself'):
+        driver.resume()
 
 
 def lose_the_bus(driver, until):
@@ -241,8 +330,7 @@ def test_nonsense_on_the_bus_is_no_fault(drive, until):
                 for _ in range(4):
                     other.send(can.Message(arbitration_id=identifier, data=data,
                                            is_extended_id=True))
-    driver.command(1.0, 0.0)
-    until(lambda: d.node.motor.target == 200)
+    until(lambda: driver.command(1.0, 0.0) or d.node.motor.target == 200)
     assert driver.fault() == ''
 
 
@@ -462,7 +550,6 @@ def test_a_drive_that_repeats_itself_at_rest(drive, until):
         return len(torques) > 3
 
     until(alive)
-    driver.command(0.0, 0.0)
     until(lambda: driver.command(0.0, 0.0) or (driver.measure() and d.node.motor.velocity == 0))
     d.fault('frozen', duration=600.0)
     until(lambda: driver.command(0.0, 0.0) or d.node.frozen)
