@@ -11,7 +11,8 @@ and 1 by the spectral radius, each with the other gains that are proposed with i
 
 Accuracy: the example's plant, its x read as an angle in rad; gains by the rules for encoders
 (`dz_ros.core.laws.robust_eso_gains.gains_for_encoder`), the rate of `levant` the best of a list.
-Errors are max|x̃| over the last half of 60 s; TV is the total variation of v per second.
+Errors are max|x̃| over the last half of 60 s; TV is the total variation of v per second; the
+largest b m is that of the loop's matrix, none for `levant`, which is not linear.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ import sys
 import numpy as np
 
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.design.linear_loop import largest_beta
+from dz_ros.core.design.observation import linear_observer
 from dz_ros.core.laws.robust_eso_gains import gains_for_encoder, OBSERVER_RATE
 from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.files.configurations import load_configuration
@@ -48,6 +51,14 @@ def reach(c: Configuration) -> tuple[float, float]:
     error = float(np.abs(run.x[half:, 0] - run.x_d[half:, 0]).max())
     variation = float(np.abs(np.diff(run.v[half:])).sum() / (run.t[-1] - run.t[half]))
     return (error, variation) if error < 1.0 else (math.inf, math.inf)
+
+
+def largest_b(c: Configuration) -> str:
+    """Return the largest b m that is calm with a sample of delay, by the spectral radius."""
+    observer = linear_observer(c, c.make_driver().measured)
+    if observer is None:
+        return '–'
+    return f'{largest_beta(c.law.layer_model(), c.loop.period, 1, observer):.2f}'
 
 
 def gain_lines() -> list[str]:
@@ -93,8 +104,8 @@ def main() -> int:
     if arguments.gains:
         return 0
     titles = [name for name, _ in CASES]
-    lines = ['| encoder | K | observer | ω | ' + ' | '.join(titles) + ' | TV |',
-             f'|{"---|" * (5 + len(titles))}']
+    lines = ['| encoder | K | observer | ω | ' + ' | '.join(titles)
+             + ' | TV | calm at delay 1 up to b m |', f'|{"---|" * (6 + len(titles))}']
     for bits in BITS:
         quantum = 2.0 * math.pi / 2 ** bits
         base = load_configuration('robust_eso', ['driver.measured=1', 'loop.duration=60'])
@@ -111,7 +122,8 @@ def main() -> int:
             numbers = ' | '.join('lost' if math.isinf(item[0]) else f'{item[0]:.2e}'
                                  for item in found)
             lines.append(f'| {bits} bit | {gains["layer_gain"]:.0f} | `{kind}` '
-                         f'| {c.driver_settings.observer:.0f} | {numbers} | {found[0][1]:.0f} |')
+                         f'| {c.driver_settings.observer:.0f} | {numbers} | {found[0][1]:.0f} '
+                         f'| {largest_b(c)} |')
             print(lines[-1], flush=True)
     if arguments.write:
         put(lines, BEGIN, END)

@@ -21,9 +21,8 @@
 
 The gains of `robust_eso` follow its own rules (`dz_ros.core.laws.robust_eso_gains`), those for an
 encoder where the velocity is not measured; K0 and all that follows it are lowered, then ω_o, until
-the same rules are kept, with a sample of delay to spare where the actuator is a device. An
-observed velocity takes a faster observer than by rule where that allows a steeper K0 and noise
-leaves v calm. The start is slowed down until it keeps the effort. Where no K0 keeps them the
+the same rules are kept, with a sample of delay to spare where the actuator is a device. A faster
+observer than by rule is taken where it allows a steeper K0 within the same noise of v. The start is slowed down until it keeps the effort. Where no K0 keeps them the
 proposal is the steepest one, with what `dz check` warns of.
 c gives the order of the paper's gains on the paper's example. a_i are those of the plant's model:
 where they are guesses, widen θ's bounds. Nothing here is optimal; it is safe to start from.
@@ -33,7 +32,9 @@ Over 300 lines: two families of laws with their reasons.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from dz_ros.core.configuration import Configuration
@@ -44,7 +45,6 @@ from dz_ros.core.design.finding import Finding, INFO
 from dz_ros.core.design.observation import (
     linear_observer,
     measured_steps,
-    observed_noise,
     sensor_noise,
     state_noise,
 )
@@ -57,7 +57,6 @@ from dz_ros.core.design.rules import check, derives_epsilon
 from dz_ros.core.design.stability import lambda_limit
 from dz_ros.core.laws.base import Design
 from dz_ros.core.laws.robust_eso_gains import (
-    ALLOWED,
     gains_by_rule,
     gains_for_encoder,
     OBSERVER_RATE,
@@ -84,7 +83,7 @@ FOLLOW_GAIN = ('layer_gain', 'lambda', 'start_rate', 'observer_rate', 'k_2')
 """Gains of `robust_eso` that are shares of K0."""
 SLOWER_OBSERVERS = (1.0, 0.67, 0.42)
 """Shares of ω_o that are tried where no K0 keeps the rules."""
-FASTER_VELOCITIES = (1.0, 1.4, 2.0, 2.8)
+FASTER_VELOCITIES = (1.0, 1.2, 1.4, 2.0, 2.8)
 """Multiples of the rule's ω of an observed velocity that are tried."""
 WORTH = 1.03
 """A faster one is taken where it allows this many times the K0."""
@@ -264,23 +263,26 @@ def _with_observer(c: Configuration, design: Design, delta: float,
         'observer_rate': '0.83 K0 b_hat', 'k_2': '2 K0/3',
         'phi_0': 'middle of 1/(b m)', 'theta_0': 'a_i of the model times the middle',
         'v_max': "the actuator's limit"}
+    by_sensor: partial[dict[str, float]] | None = None
     if driver.measured < c.plant.order:
         sigma = sensor_noise(c, measured_steps(driver))
-        gains |= gains_for_encoder(period, sigma, high, gains['input_gain'], k_star, delay)
+        by_sensor = partial(gains_for_encoder, period, sigma, high, gains['input_gain'], k_star,
+                            delay)
+        gains |= by_sensor()
         gains['k_d'] = min(gains['k_d'], gains['layer_gain'] / 6.0)
         for key in FOLLOW_GAIN:
             reasons[key] = f'the velocity is observed, from noise of {sigma:.3g}'
-    changes, by_sensor = {f'controller.{key}': item for key, item in gains.items()}, dict(gains)
-    if driver.measured < c.plant.order:
+    changes, first = {f'controller.{key}': item for key, item in gains.items()}, dict(gains)
+    if by_sensor:
         changes['driver.observer'] = 0.0
-    changes |= _calmest(c, changes, driver.measured < c.plant.order)
+    changes |= _calmest(c, changes, by_sensor if by_sensor and sigma > 0.0 else None)
     gains |= {key: changes[f'controller.{key}'] for key in gains}
     for key in FOLLOW_GAIN:
-        if gains[key] < by_sensor[key]:
-            reasons[key] += f'; lowered from {by_sensor[key]:.4g} by the rules on the layer'
+        if gains[key] < first[key]:
+            reasons[key] += f'; lowered from {first[key]:.4g} by the rules on the layer'
             if key == 'layer_gain' and not driver.lockstep:
                 reasons[key] += f', calm at delay {loop_delays(c)[-1]} too'
-    if driver.measured < c.plant.order:
+    if by_sensor:
         rate = OBSERVER_RATE * gains['layer_gain'] * gains['input_gain']
         faster = changes['driver.observer'] / rate
         reasons['driver.observer'] = (f'{faster:.2g} times the rule, for a steeper K0' if faster
@@ -302,36 +304,28 @@ def _with_observer(c: Configuration, design: Design, delta: float,
                              'more')
 
 
-def _calmest(c: Configuration, changes: dict[str, Any], observed: bool) -> dict[str, Any]:
+def _calmest(c: Configuration, changes: dict[str, Any],
+             by_sensor: Callable[..., dict[str, float]] | None) -> dict[str, Any]:
     """Return the gains of `robust_eso` that follow K0, lowered until they suit, by key.
 
-    Where the velocity is observed and the noise of the sensor is known, with the observer that
-    allows the largest K0 while noise puts no more into v than the rule for encoders allows, and of
-    those with nearly as large a K0 the slowest. A noisier one is better than none that suits.
+    by_sensor: `faster` → the gains that the sensor's noise allows with an observer as many times
+    as fast as by rule; None = no observer, or noise that is not known. Taken is the observer that
+    allows the largest K0, of those with nearly as large a K0 the slowest.
     """
     best: dict[str, Any] = {}
-    noisy: dict[str, Any] = {}
-    known = observed and sensor_noise(c, measured_steps(c.make_driver())) > 0.0
-    for faster in FASTER_VELOCITIES if known else (1.0,):
-        found = _calmest_with(c, changes, faster, observed)
-        if not found:
-            continue
-        if faster > 1.0 and not _quiet(c.replace(**{**changes, **found})):
-            noisy = noisy or found
-        elif not best or (
-                found['controller.layer_gain'] > WORTH * best['controller.layer_gain']):
+    for faster in FASTER_VELOCITIES if by_sensor else (1.0,):
+        tried = changes
+        if by_sensor and faster > 1.0:
+            tried = changes | {f'controller.{key}': item
+                               for key, item in by_sensor(faster=faster).items()}
+        found = _calmest_with(c, tried, faster)
+        if found and (not best or found['controller.layer_gain']
+                      > WORTH * best['controller.layer_gain']):
             best = found
-    return best or noisy
+    return best
 
 
-def _quiet(c: Configuration) -> bool:
-    """Return whether what the observed velocity passes puts little noise into v."""
-    noise = observed_noise(c, measured_steps(c.make_driver()))
-    return bool(c.law.gains.layer_gain * noise <= ALLOWED * c.law.gains.k_star)
-
-
-def _calmest_with(c: Configuration, changes: dict[str, Any], faster: float,
-                  observed: bool) -> dict[str, Any]:
+def _calmest_with(c: Configuration, changes: dict[str, Any], faster: float) -> dict[str, Any]:
     """Return these gains with a multiple of the rule's ω; none if they suit at no K0."""
     keys = tuple(f'controller.{key}' for key in FOLLOW_GAIN)
     rate = faster * OBSERVER_RATE * changes['controller.input_gain'] if faster != 1.0 else 0.0
@@ -341,7 +335,7 @@ def _calmest_with(c: Configuration, changes: dict[str, Any], faster: float,
             scaled['controller.observer_rate'] *= slower
             scaled['controller.k_d'] = min(changes['controller.k_d'],
                                            scaled['controller.layer_gain'] / 6.0)
-            if observed:
+            if rate:
                 scaled['driver.observer'] = rate * scaled['controller.layer_gain']
             return c.replace(**{**changes, **scaled})
 
@@ -349,7 +343,7 @@ def _calmest_with(c: Configuration, changes: dict[str, Any], faster: float,
         if suits(found):
             flat = found.to_flat()
             return {key: flat[key] for key in (*keys, 'controller.k_d',
-                                               *(('driver.observer',) if observed else ()))}
+                                               *(('driver.observer',) if rate else ()))}
     return {}
 
 

@@ -186,7 +186,7 @@ def test_share_found_is_the_largest_that_suits():
         'controller.margin': 0.5 * share})).law.gains.margin == 0.5
 
 
-@pytest.mark.parametrize(('bits', 'faster'), [(17, True), (14, False), (0, False)])
+@pytest.mark.parametrize(('bits', 'faster'), [(17, True), (14, True), (12, False), (0, False)])
 def test_a_faster_observer_where_the_layer_gains_by_it_and_noise_leaves_v_calm(bits, faster):
     step = 2.0 * np.pi / 2 ** bits if bits else 0.0     # 0: nothing is known of it
     c = tune(encoder('joint', f'driver.resolution={step}')).after
@@ -194,5 +194,5 @@ def test_a_faster_observer_where_the_layer_gains_by_it_and_noise_leaves_v_calm(b
     assert (c.driver_settings.observer > observer_of(by_rule).omega) == faster
     assert suits(c)
     if faster:
-        assert c.law.gains.layer_gain * observed_noise(c, (step,)) <= 0.05 * c.law.gains.k_star
+        assert c.law.gains.layer_gain * observed_noise(c, (step,)) <= 0.1 * c.law.gains.k_star
         assert not suits(by_rule)       # the rule's own is too slow for this layer

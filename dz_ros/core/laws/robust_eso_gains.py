@@ -62,7 +62,7 @@ def gains_by_rule(period: float, b_bounds: Sequence[float], m_bounds: Sequence[f
 
 
 def gains_for_encoder(period: float, sigma: float, beta: float, mean: float, k_star: float,
-                      delay: int = 1) -> dict[str, float]:
+                      delay: int = 1, faster: float = 1.0) -> dict[str, float]:
     """Return K0, λ, a, ω_o, k_2 of `robust_eso` with an observed velocity, by key.
 
     Args:
@@ -72,12 +72,14 @@ def gains_for_encoder(period: float, sigma: float, beta: float, mean: float, k_s
         mean: b̂ [unit of x^(n) / actuator unit].
         k_star: k* [actuator unit].
         delay: Design delay d [samples].
+        faster: ω over 3 K0 b̂; one above 1 lags less, so that f is that of a measured velocity.
     """
-    most = ENCODER_SHARE * chatter_limit(delay) / (beta * period)
+    share = SHARE if faster > 1.0 else ENCODER_SHARE
+    most = share * chatter_limit(delay) / (beta * period)
 
     def noise(gain: float) -> float:
         rate = gain * mean
-        passes = noise_gain(Tracking.linear(OBSERVER_RATE * rate, period))
+        passes = noise_gain(Tracking.linear(faster * OBSERVER_RATE * rate, period))
         return gain * sigma * math.hypot(rate / 7.0, passes)
 
     low, high = 0.05 * most, most
