@@ -53,8 +53,9 @@ DOMAINS = range(102)
 
 os.environ['DZ_ROS_CACHE'] = 'off'      # what is tested is compiled from what is there now
 
-PROCESSES = 'processes'
-"""First part of the name of a group of tests that start processes of ROS or a browser."""
+PROCESSES, BROWSER = 'processes', 'browser'
+"""First part of the name of a group of tests that start processes of ROS or a browser; the name of
+the group of those that need a browser."""
 
 END_TIME_OUT = 30.0
 """A process that has not ended this long after SIGINT is killed [s]."""
@@ -68,13 +69,16 @@ def pytest_configure() -> None:
 
 @pytest.hookimpl(tryfirst=True)     # before xdist reads the groups
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Have workers take whole files, which may share fixtures; of what waits, whole functions."""
+    """Have workers take whole files, which may share fixtures; of what waits, whole functions.
+
+    A browser beside a loop takes more than a core: all that need one are one worker's.
+    """
     if not config.pluginmanager.hasplugin('xdist'):
         return
     for item in items:
         file, _, function = item.nodeid.partition('[')[0].partition('::')
         marks = {mark.name for mark in item.iter_markers()}
-        group = (f'{PROCESSES} {file}' if 'live' in marks else      # which share a browser
+        group = (f'{PROCESSES} {BROWSER}' if 'live' in marks else
                  f'{PROCESSES} {file} {function}' if 'ros' in marks else
                  f'{file} {function}' if '/drivers/' in file else file)
         item.add_marker(pytest.mark.xdist_group(group))
@@ -96,8 +100,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
 
         def _assign_work_unit(self, node: Any) -> None:
             starts = node is not self.nodes[-1] or len(self.nodes) == 1
-            wanted = next((scope for scope in self.workqueue
-                           if scope.startswith(PROCESSES) == starts), None)
+            longest = f'{PROCESSES} {BROWSER}'
+            wanted = longest if starts and longest in self.workqueue else next(
+                (scope for scope in self.workqueue if scope.startswith(PROCESSES) == starts),
+                None)
             if wanted is not None:
                 self.workqueue.move_to_end(wanted, last=False)
             super()._assign_work_unit(node)
