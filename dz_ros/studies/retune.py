@@ -11,7 +11,7 @@ counts without the delay where that is smaller. A law with a place for the actua
 (`v_max`, `v_clip`) is given the allowed peak.
 
 Candidates are tried on runs shortened to `TRIAL` seconds with at most `MEMBERS` members of a
-scenario; the best are run in full, the first of them within the limits is the result, and every
+scenario; the best are run in full, the first one within the limits is the result, and every
 number of it is from the full runs. The first generation holds the gains as shipped, that of a
 single scenario the result over all scenarios of the same seed as well. Each (law, scenario, seed)
 is one search; finished ones are kept in a file and not made again.
@@ -57,8 +57,9 @@ MEMBERS = 2
 """Members of a scenario that a candidate runs in, at most."""
 TRIAL_SUBSTEPS = 1
 """RK4 steps in a sample of a candidate's run."""
-CONFIRMED = 6
-"""Candidates run in full, at most, until one holds the limits."""
+CONFIRMED, FURTHER = 6, 1.3
+"""Candidates run in full until one holds the limits: the best ones, then each this many times as
+far down the list as the one before, since neighbours of one that fails fail as well."""
 MOST_DELAY = 12
 """Largest loop delay that is looked at for the margins [samples]."""
 BAD = 10.0
@@ -280,8 +281,8 @@ def search(entrant: Entrant, name: str, trial: Conditions, full: Conditions, see
                            maxiter=max(0, budget // size - 1), polish=False)
     tried.sort(key=lambda item: item.score)
     best: Found | None = None
-    for item in tried[:CONFIRMED]:
-        found = evaluate(entrant, item.gains, full, name, seed)
+    for rank in ranks(len(tried)):
+        found = evaluate(entrant, tried[rank].gains, full, name, seed)
         if best is None or found.score < best.score:
             best = found
         if best.score < BAD:
@@ -289,6 +290,14 @@ def search(entrant: Entrant, name: str, trial: Conditions, full: Conditions, see
     assert best is not None
     beta, delay = margins(configured(entrant, best.gains, name, full))
     return replace(best, beta=beta, delay=delay, budget=budget)
+
+
+def ranks(count: int) -> list[int]:
+    """Return which of so many candidates are run in full, best first."""
+    found = list(range(min(CONFIRMED, count)))
+    while found and found[-1] < count - 1:
+        found.append(min(math.ceil(FURTHER * found[-1]), count - 1))
+    return found
 
 
 def configured(entrant: Entrant, gains: Mapping[str, float], name: str,

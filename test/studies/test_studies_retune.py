@@ -26,6 +26,7 @@ from dz_ros.studies.retune import (
     limits_of,
     margins,
     place_of,
+    ranks,
     read,
     retune,
     scaled,
@@ -133,6 +134,15 @@ def test_a_search_is_never_worse_than_the_gains_as_shipped():
     found = search(entrant, 'nominal', conditions, conditions, 0, 12)
     assert found.score <= shipped.score + 1e-6      # gains scaled there and back
     assert found.errors['nominal'] == pytest.approx(found.error)
+
+
+def test_candidates_far_down_the_list_are_run_in_full_where_the_best_ones_fail():
+    found = ranks(200)
+    assert found[:7] == [0, 1, 2, 3, 4, 5, 7]
+    assert found[-1] == 199
+    assert found == sorted(set(found))
+    assert len(found) <= 20
+    assert ranks(3) == [0, 1, 2]
 
 
 def test_table_names_the_best_and_the_distance():
