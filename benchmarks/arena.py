@@ -34,7 +34,7 @@ from dz_ros.studies.arena_page import (
 )
 from dz_ros.studies.entrants import IDEAL
 from dz_ros.studies.retune import ALL, Found, read, VARIATION
-from dz_ros.studies.retune_page import errors_table, gains_table, summary, table
+from dz_ros.studies.retune_page import errors_table, gains_table, margins_table, summary, table
 from dz_ros.studies.scenarios import scenarios
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -195,12 +195,15 @@ def retuned_part(path: Path | None) -> list[str]:
             f'Budget: at most {max(item.budget for item in found)} sets of gains tried in each '
             f'search, {len(seeds)} seed{"s" * (len(seeds) > 1)} ('
             + ', '.join(f'seed {seed}: {count} searches' for seed, count in each.items()) + '); '
-            'the same for every law. This is a small budget: it favours laws with few free gains, '
-            'and a larger one may change the order of laws that are close.', '',
+            'the same for every law. A budget favours laws with few free gains, and a larger one '
+            'may change the order of laws that are close.', '',
             *table(found), '', '### One set of gains for all scenarios', '',
             *gains_table(found), '',
             'max|x̃| of each law in each scenario with that set, left the best law over all of '
-            'them:', '', *errors_table(found), '']
+            'them:', '', *errors_table(found), '', '### What each tuned set survives', '',
+            'Of the best set of each law in each scenario, winner or not: the largest b m with a '
+            'delay of 0 and of 1 sample; the largest delay at b m = 1.25. A star: the set is '
+            'beyond a limit.', '', *margins_table(found), '']
 
 
 def complete_scenarios(found: Sequence[Found]) -> set[str]:

@@ -81,9 +81,15 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _retune(arguments: argparse.Namespace, plan: Plan) -> int:
-    """Tune every law; print both tables."""
+    """Tune every law; print the tables."""
     from dz_ros.studies.retune import retune
-    from dz_ros.studies.retune_page import errors_table, gains_table, summary, table
+    from dz_ros.studies.retune_page import (
+        errors_table,
+        gains_table,
+        margins_table,
+        summary,
+        table,
+    )
 
     for key, value, least in (('--budget', arguments.budget, 1),
                               ('--searches', arguments.searches, 1)):
@@ -97,7 +103,7 @@ def _retune(arguments: argparse.Namespace, plan: Plan) -> int:
                        arguments.searches, arguments.budget, arguments.jobs, arguments.cluster,
                        Progress(searches))
     print(summary(found), '', *table(found), '', *gains_table(found), '', *errors_table(found),
-          sep='\n')
+          '', *margins_table(found), sep='\n')
     return 0
 
 

@@ -115,3 +115,19 @@ def gains_table(found: Sequence[Found]) -> list[str]:
         lines.append(f'| `{item.law}` | {"yes" if item.law in OURS else "no"} | {mean}{beyond} '
                      f'| {numbers} | {" | ".join(survived(item))} | {gains} |')
     return lines
+
+
+def margins_table(found: Sequence[Found]) -> list[str]:
+    """Return what the best set of each law in each scenario survives; a star: beyond a limit."""
+    best = best_of(found)
+    laws = list(dict.fromkeys(law for law, _ in best))
+    lines = ['| scenario | ' + ' | '.join(f'`{law}`' for law in laws) + ' |',
+             f'|{"---|" * (len(laws) + 1)}']
+    for name in dict.fromkeys(scenario for _, scenario in best):
+        cells = []
+        for law in laws:
+            item = best.get((law, name))
+            cells.append('' if item is None else '; '.join(dict.fromkeys(survived(item)))
+                         + ('*' if item.score >= BAD else ''))
+        lines.append(f'| {name} | ' + ' | '.join(cells) + ' |')
+    return lines

@@ -33,7 +33,7 @@ from dz_ros.studies.retune import (
     score_of,
     search,
 )
-from dz_ros.studies.retune_page import best_of, errors_table, summary, table
+from dz_ros.studies.retune_page import best_of, errors_table, margins_table, summary, table
 from dz_ros.studies.scenarios import base_configuration, scenarios
 
 DURATION = 6.0
@@ -162,6 +162,9 @@ def test_table_names_the_best_and_the_distance():
     assert 'nominal (`ladrc`, 3.00 times smaller)' in summary([one, better])
     everywhere = [replace(item, scenario=ALL, errors={'nominal': item.error})
                   for item in (one, other)]
+    lines = margins_table([one, replace(other, delay=-1, beta=(1.0, 0.5)), beyond])
+    assert lines[0] == '| scenario | `robust_eso` | `ladrc` | `pid` |'
+    assert lines[-1] == '| nominal | 4.40, 2.10; 1 | 1.00, 0.50; none | 4.40, 2.10; 1* |'
     assert errors_table(everywhere)[-1] == '| nominal | **0.0003** | 0.0006 |'
 
 
