@@ -40,7 +40,7 @@ STUDIES = {
 WHOLE = 100_000
 KEPT_CODE = """## What is kept
 
-`dz sweep`, `dz arena` and `dz.simulate(compiled=True)` keep compiled code in `$DZ_ROS_CACHE`,
+`dz sweep`, `dz arena`, `dz tune` and `dz.simulate(compiled=True)` keep compiled code in `$DZ_ROS_CACHE`,
 else in `dz_ros` in `$XDG_CACHE_HOME` or `~/.cache`, for every combination of law, plant,
 trajectory and observer; later processes load it. It is found by a hash of the byte code of all
 its functions, of every constant they read, of the processor and of the versions of Python and

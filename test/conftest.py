@@ -6,6 +6,7 @@ Over 300 lines: what several folders share, and pytest finds nowhere else.
 
 from __future__ import annotations
 
+import atexit
 from collections.abc import Callable, Iterator, Mapping, Sequence
 import contextlib
 from dataclasses import replace
@@ -36,6 +37,7 @@ from dz_ros.core.dataset import Channel, from_run, RunData
 from dz_ros.core.loop.controller import Controller
 from dz_ros.core.loop.offline import simulate
 from dz_ros.core.records import Command, Reference, State, Terms
+from dz_ros.studies.code_folder import keep_compiled, VARIABLE
 from dz_ros.version import version
 
 # A slow machine is no finding, and a test run twice is the same test; `make fuzz` searches on.
@@ -51,7 +53,11 @@ hypothesis.settings.load_profile('test')
 DOMAINS = range(102)
 """ROS_DOMAIN_ID that leave room for DDS's ports on every platform."""
 
-os.environ['DZ_ROS_CACHE'] = 'off'      # what is tested is compiled from what is there now
+if 'PYTEST_XDIST_WORKER' not in os.environ:     # the workers and all processes share what they compile
+    CODE = tempfile.mkdtemp(prefix='test-code-')
+    os.environ[VARIABLE] = CODE
+    atexit.register(shutil.rmtree, CODE, ignore_errors=True)
+keep_compiled()
 
 PROCESSES, BROWSER = 'processes', 'browser'
 """First part of the name of a group of tests that start processes of ROS or a browser; the name of

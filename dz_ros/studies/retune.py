@@ -38,6 +38,7 @@ from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.core.schema import fields, to_dict
 from dz_ros.errors import ConfigurationError, DzRosError
 from dz_ros.runs.metrics import choose_window, largest, variation
+from dz_ros.studies.code_folder import keep_compiled
 from dz_ros.studies.entrants import Entrant
 from dz_ros.studies.pool import execute, Task
 from dz_ros.studies.scenarios import base_configuration, Scenario, scenarios
@@ -263,6 +264,7 @@ def search(entrant: Entrant, name: str, trial: Conditions, full: Conditions, see
     from scipy.optimize import differential_evolution
     from scipy.stats.qmc import LatinHypercube
 
+    keep_compiled()
     base = base_configuration(full.duration)
     law = Configuration.from_flat({**base, **entrant.changes}).law
     count = len(law.tunable)

@@ -67,6 +67,7 @@ from dz_ros.core.laws.robust_eso_gains import (
 )
 from dz_ros.core.schema import fields
 from dz_ros.errors import ConfigurationError
+from dz_ros.studies.code_folder import keep_compiled
 from dz_ros.studies.outcome import Row, run_row
 from dz_ros.studies.tune_layer import loop_delays, MARGIN, settled, suits, with_layer
 
@@ -129,6 +130,7 @@ def tune(c: Configuration, effort: float = 0.0, disturbance: float | None = None
         ConfigurationError: A law without k* or of all axes, a disturbance that the effort cannot
             hold, or no λ keeps within the effort.
     """
+    keep_compiled()
     if c.law.coupled:
         raise ConfigurationError('controller.law', c.law.name, 'is a law of all axes, its gains '
                                  'are not proposed; choose robust_eso, robust, wang2004 or '

@@ -51,7 +51,7 @@ def change(page, what, done=''):
     wanted = re.compile(f'^{done}$' if done else f'^{what}d|is not possible now')
     for _ in range(5):
         page.click(f'#{what}')
-        page.until("document.querySelector('#answer').innerText !== '…'")
+        page.until("!['', '…'].includes(document.querySelector('#answer').innerText)")
         if wanted.search(found := answer.inner_text()):
             return
         assert 'does not answer' in found, found
