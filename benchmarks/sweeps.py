@@ -40,10 +40,10 @@ STUDIES = {
 WHOLE = 100_000
 KEPT_CODE = """## What is kept
 
-`dz sweep`, `dz arena`, `dz tune` and `dz.simulate(compiled=True)` keep compiled code in `$DZ_ROS_CACHE`,
-else in `dz_ros` in `$XDG_CACHE_HOME` or `~/.cache`, for every combination of law, plant,
-trajectory and observer; later processes load it. It is found by a hash of the byte code of all
-its functions, of every constant they read, of the processor and of the versions of Python and
+`dz sweep`, `dz arena`, `dz tune` and `dz.simulate(compiled=True)` keep compiled code in
+`$DZ_ROS_CACHE`, else in `dz_ros` in `$XDG_CACHE_HOME` or `~/.cache`, for every combination of law,
+plant, trajectory and observer; later processes load it. It is found by a hash of the byte code of
+all its functions, of every constant they read, of the processor and of the versions of Python and
 numba, so that an edited law is compiled again. At most 300 files are kept, a fifth of a megabyte
 each. A folder that another user owns or may write to is not used. `DZ_ROS_CACHE=off` keeps
 nothing.

@@ -53,7 +53,8 @@ hypothesis.settings.load_profile('test')
 DOMAINS = range(102)
 """ROS_DOMAIN_ID that leave room for DDS's ports on every platform."""
 
-if 'PYTEST_XDIST_WORKER' not in os.environ:     # the workers and all processes share what they compile
+# Workers and processes share what they compile, which is of this run.
+if 'PYTEST_XDIST_WORKER' not in os.environ:
     CODE = tempfile.mkdtemp(prefix='test-code-')
     os.environ[VARIABLE] = CODE
     atexit.register(shutil.rmtree, CODE, ignore_errors=True)

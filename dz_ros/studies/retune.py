@@ -295,7 +295,7 @@ def search(entrant: Entrant, name: str, trial: Conditions, full: Conditions, see
 
 
 def ranks(count: int) -> list[int]:
-    """Return which of so many candidates are run in full, best first."""
+    """Return which of this many candidates are run in full, best first."""
     found = list(range(min(CONFIRMED, count)))
     while found and found[-1] < count - 1:
         found.append(min(math.ceil(FURTHER * found[-1]), count - 1))

@@ -22,8 +22,9 @@
 The gains of `robust_eso` follow its own rules (`dz_ros.core.laws.robust_eso_gains`), those for an
 encoder where the velocity is not measured; K0 and all that follows it are lowered, then ω_o, until
 the same rules are kept, with a sample of delay to spare where the actuator is a device. A faster
-observer than by rule is taken where it allows a steeper K0 within the same noise of v. The start is slowed down until it keeps the effort. Where no K0 keeps them the
-proposal is the steepest one, with what `dz check` warns of.
+observer than by rule is taken where it allows a steeper K0 within the same noise of v. The start
+is slowed down until it keeps the effort. Where no K0 keeps them the proposal is the steepest one,
+with what `dz check` warns of.
 c gives the order of the paper's gains on the paper's example. a_i are those of the plant's model:
 where they are guesses, widen θ's bounds. Nothing here is optimal; it is safe to start from.
 
