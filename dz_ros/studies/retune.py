@@ -11,9 +11,10 @@ counts without the delay where that is smaller. A law with a place for the actua
 (`v_max`, `v_clip`) is given the allowed peak.
 
 Candidates are tried on runs shortened to `TRIAL` seconds with at most `MEMBERS` members of a
-scenario; the best are run in full, the first one within the limits is the result, and every
-number of it is from the full runs. The first generation holds the gains as shipped, that of a
-single scenario the result over all scenarios of the same seed as well. Each (law, scenario, seed)
+scenario; the best are run in full until one holds the limits, and so are those that a search began
+with: the gains as shipped and, for a single scenario, the result over all of them of the same
+seed. The better of these is the result, every number of it from a full run; a candidate that was
+not run in full may be better still. Each (law, scenario, seed)
 is one search; finished ones are kept in a file and not made again.
 
 Over 300 lines: one search, from its limits to its resumed file.
@@ -281,6 +282,7 @@ def search(entrant: Entrant, name: str, trial: Conditions, full: Conditions, see
         first[row] = place_of(entrant, known)
     differential_evolution(trial_score, [(0.0, 1.0)] * count, init=first, tol=0.0, rng=seed,
                            maxiter=max(0, budget // size - 1), polish=False)
+    begun = [item.gains for item in tried[:1 if start is None else 2]]
     tried.sort(key=lambda item: item.score)
     best: Found | None = None
     for rank in ranks(len(tried)):
@@ -290,6 +292,8 @@ def search(entrant: Entrant, name: str, trial: Conditions, full: Conditions, see
         if best.score < BAD:
             break
     assert best is not None
+    best = min([best, *(evaluate(entrant, gains, full, name, seed) for gains in begun
+                        if gains != best.gains)], key=lambda item: item.score)
     beta, delay = margins(configured(entrant, best.gains, name, full))
     return replace(best, beta=beta, delay=delay, budget=budget)
 

@@ -33,9 +33,8 @@ Over 300 lines: two families of laws with their reasons.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from dz_ros.core.configuration import Configuration
@@ -87,6 +86,8 @@ SLOWER_OBSERVERS = (1.0, 0.67, 0.42)
 """Shares of ω_o that are tried where no K0 keeps the rules."""
 FASTER_VELOCITIES = (1.0, 1.2, 1.4, 2.0, 2.8)
 """Multiples of the rule's ω of an observed velocity that are tried."""
+NO_SENSOR: Mapping[float, Mapping[str, float]] = {1.0: {}}
+"""What `_calmest` has of a sensor where the velocity is measured."""
 WORTH = 1.03
 """A faster one is taken where it allows this many times the K0."""
 ROOM_OF_LAMBDA = 1.25
@@ -266,26 +267,31 @@ def _with_observer(c: Configuration, design: Design, delta: float,
         'observer_rate': '0.83 K0 b_hat', 'k_2': '2 K0/3',
         'phi_0': 'middle of 1/(b m)', 'theta_0': 'a_i of the model times the middle',
         'v_max': "the actuator's limit"}
-    by_sensor: partial[dict[str, float]] | None = None
-    if driver.measured < c.plant.order:
+    observed, sets = driver.measured < c.plant.order, NO_SENSOR
+    if observed:
         sigma = sensor_noise(c, measured_steps(driver))
-        by_sensor = partial(gains_for_encoder, period, sigma, high, gains['input_gain'], k_star,
-                            delay)
-        gains |= by_sensor()
-        gains['k_d'] = min(gains['k_d'], gains['layer_gain'] / 6.0)
+        judged = sigma > 0.0 and linear_observer(c, driver.measured) is not None
+        sets = {faster: gains_for_encoder(period, sigma, high, gains['input_gain'], k_star, delay,
+                                          faster)
+                for faster in (FASTER_VELOCITIES if judged else FASTER_VELOCITIES[:1])}
+        gains |= sets[1.0]
         for key in FOLLOW_GAIN:
             reasons[key] = f'the velocity is observed, from noise of {sigma:.3g}'
-    changes, first = {f'controller.{key}': item for key, item in gains.items()}, dict(gains)
-    if by_sensor:
+    changes = {f'controller.{key}': item for key, item in gains.items()}
+    if observed:
         changes['driver.observer'] = 0.0
-    changes |= _calmest(c, changes, by_sensor if by_sensor and sigma > 0.0 else None)
+    start, found = _calmest(c, changes, sets)
+    changes |= found
+    changes['controller.k_d'] = min(changes['controller.k_d'],
+                                    changes['controller.layer_gain'] / 6.0)
     gains |= {key: changes[f'controller.{key}'] for key in gains}
     for key in FOLLOW_GAIN:
-        if gains[key] < first[key]:
-            reasons[key] += f'; lowered from {first[key]:.4g} by the rules on the layer'
+        first = start[f'controller.{key}']
+        if gains[key] < first:
+            reasons[key] += f'; lowered from {first:.4g} by the rules on the layer'
             if key == 'layer_gain' and not driver.lockstep:
                 reasons[key] += f', calm at delay {loop_delays(c)[-1]} too'
-    if by_sensor:
+    if observed:
         rate = OBSERVER_RATE * gains['layer_gain'] * gains['input_gain']
         faster = changes['driver.observer'] / rate
         reasons['driver.observer'] = (f'{faster:.2g} times the rule, for a steeper K0' if faster
@@ -307,25 +313,25 @@ def _with_observer(c: Configuration, design: Design, delta: float,
                              'more')
 
 
-def _calmest(c: Configuration, changes: dict[str, Any],
-             by_sensor: Callable[..., dict[str, float]] | None) -> dict[str, Any]:
-    """Return the gains of `robust_eso` that follow K0, lowered until they suit, by key.
+def _calmest(c: Configuration, changes: dict[str, Any], sets: Mapping[float, Mapping[str, float]]
+             ) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what was begun with, and the gains that follow K0, lowered until they suit, by key.
 
-    by_sensor: `faster` → the gains that the sensor's noise allows with an observer as many times
-    as fast as by rule; None = no observer, or noise that is not known. Taken is the observer that
-    allows the largest K0, of those with nearly as large a K0 the slowest.
+    sets: ω over that of the rule → the gains that the sensor's noise allows with it, slowest
+    first. Taken is the observer that allows the largest K0, of those with nearly as large a K0 the
+    slowest. Without any that suits: the changes, and nothing.
     """
+    start: dict[str, Any] = changes
     best: dict[str, Any] = {}
-    for faster in FASTER_VELOCITIES if by_sensor else (1.0,):
-        tried = changes
-        if by_sensor and faster > 1.0:
-            tried = changes | {f'controller.{key}': item
-                               for key, item in by_sensor(faster=faster).items()}
+    for faster, gains in sets.items():
+        tried = changes | {f'controller.{key}': item for key, item in gains.items()}
+        least = WORTH * best.get('controller.layer_gain', 0.0)
+        if tried['controller.layer_gain'] <= least:     # it is only lowered from there
+            continue
         found = _calmest_with(c, tried, faster)
-        if found and (not best or found['controller.layer_gain']
-                      > WORTH * best['controller.layer_gain']):
-            best = found
-    return best
+        if found and found['controller.layer_gain'] > least:
+            start, best = tried, found
+    return start, best
 
 
 def _calmest_with(c: Configuration, changes: dict[str, Any], faster: float) -> dict[str, Any]:

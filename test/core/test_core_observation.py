@@ -18,6 +18,7 @@ from dz_ros.core.loop.compiled import simulate_fast
 from dz_ros.core.loop.controller import Controller
 from dz_ros.core.loop.offline import simulate
 from dz_ros.core.observers import Luenberger, OBSERVERS, Tracking
+from dz_ros.core.observers.base import noise_gain
 from dz_ros.core.records import Reference, State
 from dz_ros.drivers.hosted import HostedDriver
 from dz_ros.files.configurations import load_configuration
@@ -209,15 +210,25 @@ def test_compiled_loop_observes_as_the_plain_one():
         assert np.array_equal(simulate(own).v, simulate_fast(own).v)
 
 
+@pytest.mark.parametrize('faster', [1.0, 1.2, 2.0])
 @pytest.mark.parametrize('bits', [12, 14, 16])
-def test_gains_for_an_encoder_are_calm_by_the_matrix(bits):
+def test_gains_for_an_encoder_are_calm_by_the_matrix_and_keep_the_noise(bits, faster):
     sigma = 2.0 * math.pi / 2 ** bits / math.sqrt(12.0)
-    gains = gains_for_encoder(T, sigma, 1.25, 1.0, 4.0)
+    gains = gains_for_encoder(T, sigma, 1.25, 1.0, 4.0, faster=faster)
+    rate = 3.0 * faster * gains['layer_gain']
+    passes = math.hypot(gains['lambda'], noise_gain(Tracking.linear(rate, T)))
+    assert gains['layer_gain'] * sigma * passes <= 0.1 * 4.0 * (1.0 + 1e-9)
     c = Configuration.from_flat({**ENCODER, **{f'controller.{key}': item
                                                for key, item in gains.items()}})
     for delay in (0, 1):
-        assert spectral_radius(c.law.layer_model(), T, 1.25, delay, Tracking.linear(
-            observer_of(c).omega, T)) < 1.0
+        assert spectral_radius(c.law.layer_model(), T, 1.25, delay,
+                               Tracking.linear(rate, T)) < 1.0
+
+
+def test_noise_beyond_all_bounds_leaves_every_observer_the_same_gain():
+    gains = [gains_for_encoder(T, 1.0, 1.25, 1.0, 4.0, faster=faster)
+             for faster in (1.0, 1.2, 2.0)]
+    assert len({item['layer_gain'] for item in gains}) == 1
 
 
 def test_observer_starts_again_where_the_reference_comes_back():

@@ -136,6 +136,27 @@ def test_a_search_is_never_worse_than_the_gains_as_shipped():
     assert found.errors['nominal'] == pytest.approx(found.error)
 
 
+def test_a_search_goes_on_where_the_best_candidates_are_beyond_a_limit(monkeypatch):
+    """The first six in full fail, and so does what the search began with."""
+    entrant = entrants()['pd']
+    conditions = Conditions.full(['nominal'], DURATION, 1)
+    in_full = []
+
+    def judged(entrant, gains, conditions_, name, seed):
+        trial = conditions_ is not conditions
+        if not trial:
+            in_full.append(gains)
+        score = gains['controller.k_d'] if trial or len(in_full) > 6 else 11.0
+        return Found('pd', name, seed, gains, score, 1.0, 1.0, 1.0, errors={name: 1.0})
+
+    monkeypatch.setattr('dz_ros.studies.retune.evaluate', judged)
+    trial = Conditions.trial(['nominal'], DURATION, 1)
+    found = search(entrant, 'nominal', trial, conditions, 0, 40)
+    assert found.score < 11.0
+    assert in_full[6]['controller.k_d'] > in_full[5]['controller.k_d']
+    assert len(in_full) == 8        # and what it began with
+
+
 def test_candidates_far_down_the_list_are_run_in_full_where_the_best_ones_fail():
     found = ranks(200)
     assert found[:7] == [0, 1, 2, 3, 4, 5, 7]

@@ -10,11 +10,12 @@ from dz_ros.core.design.linear_loop import spectral_radius
 from dz_ros.core.design.observation import (
     linear_observer,
     measured_steps,
-    observed_noise,
     observer_of,
 )
 from dz_ros.core.design.rules import check
 from dz_ros.core.loop.offline import simulate
+from dz_ros.core.observers.base import noise_gain
+from dz_ros.core.observers.tracking import Tracking
 from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import load_configuration
 from dz_ros.studies.tune import tune
@@ -169,6 +170,12 @@ def test_an_observer_that_no_rule_judges_is_named():
     assert 'no rule shows' in words[0]
 
 
+def test_no_faster_observer_is_taken_of_a_kind_that_no_rule_judges():
+    step = 2.0 * np.pi / 2 ** 17
+    c = tune(encoder('joint', 'driver.observer_kind=levant', f'driver.resolution={step}')).after
+    assert c.driver_settings.observer == 0.0
+
+
 def test_share_found_is_the_largest_that_suits():
     c = encoder('joint', 'controller.law=robust', 'controller.k_2=8',
                 'controller.k_d=4', 'controller.lambda=4', 'loop.delay=1')
@@ -186,7 +193,8 @@ def test_share_found_is_the_largest_that_suits():
         'controller.margin': 0.5 * share})).law.gains.margin == 0.5
 
 
-@pytest.mark.parametrize(('bits', 'faster'), [(17, True), (14, True), (12, False), (0, False)])
+@pytest.mark.parametrize(('bits', 'faster'), [(17, True), (14, True), (12, False), (5, False),
+                                              (0, False)])
 def test_a_faster_observer_where_the_layer_gains_by_it_and_noise_leaves_v_calm(bits, faster):
     step = 2.0 * np.pi / 2 ** bits if bits else 0.0     # 0: nothing is known of it
     c = tune(encoder('joint', f'driver.resolution={step}')).after
@@ -194,5 +202,7 @@ def test_a_faster_observer_where_the_layer_gains_by_it_and_noise_leaves_v_calm(b
     assert (c.driver_settings.observer > observer_of(by_rule).omega) == faster
     assert suits(c)
     if faster:
-        assert c.law.gains.layer_gain * observed_noise(c, (step,)) <= 0.1 * c.law.gains.k_star
+        gains, sigma = c.law.gains, step / np.sqrt(12.0)
+        passes = noise_gain(Tracking.linear(c.driver_settings.observer, c.loop.period))
+        assert gains.layer_gain * sigma * np.hypot(gains.lambda_, passes) <= 0.1 * gains.k_star
         assert not suits(by_rule)       # the rule's own is too slow for this layer

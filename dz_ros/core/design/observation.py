@@ -95,14 +95,6 @@ def state_noise(c: Configuration, steps: Sequence[float]) -> tuple[float, ...]:
                  for sigma, step in zip(c.noise, padded, strict=False))
 
 
-def observed_noise(c: Configuration, steps: Sequence[float]) -> float:
-    """Return σ_s that an observed velocity leaves at most [unit of s]; ∞ if it is not linear."""
-    design, linear = c.law.design, linear_observer(c, c.plant.order - 1)
-    if design is None or linear is None:
-        return math.inf
-    return _passed(design.lambda_, c.plant.order, linear) * sensor_noise(c, steps)
-
-
 def _passed(slope: float, order: int, observer: LinearObserver) -> float:
     """Return how many times the noise of x^(n−2) is seen in s, Λ_n−1 + G."""
     return float(error_weights(slope, order)[-2] + noise_gain(observer))

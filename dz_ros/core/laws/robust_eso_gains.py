@@ -16,8 +16,8 @@ Where the velocity is observed from positions with noise σ (one step q of an en
     K0 the largest with K0 σ √(λ² + G(ω)²) ≤ k*/10, G of the observer `tracking`, and f ≤ 0.3
 
 ω = 2.2 K0 b̂ passes less noise; with a sample of delay it is calm up to b m = 1.2 b̂ only (K 30).
-With f = 0.3 and ω = 3 K0 b̂ it is calm up to 1.35 b̂, with the 0.375 of a measured velocity up to
-1.2 b̂.
+With f = 0.3 and ω = 3 K0 b̂ that is 1.35 b̂. A faster observer has the f = 0.375 of a measured
+velocity: with 1.2 times that ω it is calm as far.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def gains_for_encoder(period: float, sigma: float, beta: float, mean: float, k_s
         passes = noise_gain(Tracking.linear(faster * OBSERVER_RATE * rate, period))
         return gain * sigma * math.hypot(rate / 7.0, passes)
 
-    low, high = 0.05 * most, most
+    low, high = 0.05 * ENCODER_SHARE / share * most, most      # the same for all observers
     if noise(high) <= ALLOWED * k_star:
         low = high
     for _ in range(40):
