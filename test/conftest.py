@@ -64,21 +64,12 @@ PROCESSES, BROWSER = 'processes', 'browser'
 """First part of the name of a group of tests that start processes of ROS or a browser; the name of
 the group of those that need a browser."""
 
-YIELDING = 10
-"""Niceness of the worker that computes."""
-
 END_TIME_OUT = 30.0
 """A process that has not ended this long after SIGINT is killed [s]."""
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """Take SIGINT, which a job in the background ignores, and its children would with it.
-
-    The worker that computes lets those go first that wait for answers of processes.
-    """
-    given = getattr(config, 'workerinput', {})
-    if given.get('workercount', 1) > 1 and given['workerid'] == f'gw{given["workercount"] - 1}':
-        os.nice(YIELDING)
+def pytest_configure() -> None:
+    """Take SIGINT, which a job in the background ignores, and its children would with it."""
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -115,8 +106,7 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
         """
 
         def _assign_work_unit(self, node: Any) -> None:
-            last = max(self.nodes, key=lambda item: int(item.gateway.id.removeprefix('gw')))
-            starts = node is not last or len(self.nodes) == 1
+            starts = node is not self.nodes[-1] or len(self.nodes) == 1
             longest = f'{PROCESSES} {BROWSER}'
             wanted = longest if starts and longest in self.workqueue else next(
                 (scope for scope in self.workqueue if scope.startswith(PROCESSES) == starts),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tables of retuned laws, as Markdown: each scenario's winner, one set of gains for all."""
+"""The tables of retuned laws, as Markdown: winners, one set of gains for all, errors, margins."""
 
 from __future__ import annotations
 

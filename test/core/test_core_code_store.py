@@ -12,6 +12,7 @@ from dz_ros.core.loop import compiled as module
 from dz_ros.core.loop.code_store import describe, UnnamedError
 from dz_ros.core.loop.compiled import compiled, keep_in, kept
 from dz_ros.core.loop.offline import make_loop
+from dz_ros.studies.code_folder import keep_compiled
 
 FACTOR = 2.0
 OFFSETS = (1.0, 2.0)
@@ -44,7 +45,7 @@ def shelf(monkeypatch):
     shelf = Shelf()
     keep_in(shelf)
     yield shelf
-    keep_in(None)
+    keep_compiled()
 
 
 def called(x):
