@@ -40,6 +40,9 @@ from dz_ros.core.records import Command, Reference, State, Terms
 from dz_ros.studies.code_folder import keep_compiled, VARIABLE
 from dz_ros.version import version
 
+sys.path.append(str(Path(__file__).parent))
+from process_server import can_start, Program, Server  # noqa: E402  of this folder
+
 # A slow machine is no finding, and a test run twice is the same test; `make fuzz` searches on.
 hypothesis.settings.register_profile(
     'test', deadline=None, derandomize=True, max_examples=40,
@@ -159,14 +162,15 @@ class Process:
     """
 
     def __init__(self, command: Sequence[str], environment: Mapping[str, str],
-                 folder: Path | None) -> None:
+                 folder: Path | None, server: Any = None) -> None:
         self.command = list(command)
-        self._process = subprocess.Popen(
-            self.command, env=dict(environment), cwd=folder, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors='replace',
-            start_new_session=True,
-            # A job in the background may ignore it, and its children would with it.
-            preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL))
+        self._process = Program(server, self.command, dict(environment), folder) if server else \
+            subprocess.Popen(
+                self.command, env=dict(environment), cwd=folder, stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors='replace',
+                start_new_session=True,
+                # A job in the background may ignore it, and its children would with it.
+                preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_DFL))
         self._lines: list[str] = []
         self._changed = threading.Condition()
         self._finished = False
@@ -249,23 +253,34 @@ class Process:
 StartProcess = Callable[..., Process]
 
 
-@pytest.fixture
-def processes() -> Iterator[StartProcess]:
-    """Yield ``start(*command, cwd=None, **environment) -> Process``; end all when the test ends.
+@pytest.fixture(scope='session')
+def process_server() -> Iterator[Callable[[], Server]]:
+    """Yield the function that returns the server of programs, started when first asked for."""
+    server = functools.cache(Server)
+    yield server
+    if server.cache_info().currsize:
+        server().close()
 
-    A command that starts with a word ending in ``.py`` or with ``-m`` runs in this Python.
+
+@pytest.fixture
+def processes(process_server: Callable[[], Server]) -> Iterator[StartProcess]:
+    """Yield ``start(*command, cwd=None, fresh=False, **environment) -> Process``; end all at last.
+
+    A command that starts with a word ending in ``.py`` or with ``-m`` runs in this Python; a
+    program of this package is copied from one that has imported it, unless it is to be fresh.
     Environment variables given as None are removed.
     """
     started: list[Process] = []
 
-    def start(*command: str | os.PathLike[str], cwd: Path | None = None,
+    def start(*command: str | os.PathLike[str], cwd: Path | None = None, fresh: bool = False,
               **environment: str | None) -> Process:
         words = [os.fspath(word) for word in command]
         if words[0] == '-m' or words[0].endswith('.py'):
             words.insert(0, sys.executable)
         merged = {**os.environ, 'PYTHONUNBUFFERED': '1', **environment}
+        server = None if fresh or not can_start(words, environment) else process_server()
         process = Process(words, {key: value for key, value in merged.items()
-                                  if value is not None}, cwd)
+                                  if value is not None}, cwd, server)
         started.append(process)
         return process
 

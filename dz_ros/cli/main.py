@@ -16,6 +16,7 @@ import signal
 import sys
 from typing import Any, NoReturn
 
+from dz_ros.cli import forked
 from dz_ros.cli.interrupt import INTERRUPTED
 from dz_ros.cli.interrupt import line as interrupt_line
 from dz_ros.cli.progress import silence
@@ -65,6 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if argv is None:
         drop_current_folder()
+        forked.allow()
     previous = {number: signal.getsignal(number) for number in ENDS}
     try:
         return _run(list(sys.argv[1:] if argv is None else argv))

@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
 import os
@@ -18,6 +19,7 @@ from typing import Any
 
 import yaml
 
+from dz_ros.cli import forked
 from dz_ros.errors import MissingDependencyError, NO_RCLPY
 from dz_ros.runtime.log_folder import log_folder_fault, NO_LOG_FILES
 from dz_ros.runtime.os_signals import ENDS, on_ends
@@ -25,6 +27,7 @@ from dz_ros.runtime.process import PARENT
 
 GRACE = 10.0
 """A node that has not ended this long after the request is killed [s]."""
+NodeProcess = subprocess.Popen[Any] | forked.Forked
 _POLL = 0.02
 _DESCRIPTORS = '/dev/fd/'
 
@@ -65,28 +68,65 @@ def start_node(name: str, arguments: Sequence[str], inherited: Sequence[int] = (
         inherited: File descriptors that it gets besides the parameter files it names.
         **streams: Standard streams and their encoding, as of `subprocess.Popen`.
     """
-    if _log_folder_fault():
-        arguments = [*arguments, '--ros-args', NO_LOG_FILES]
-    given = [int(word.removeprefix(_DESCRIPTORS)) for word in arguments
-             if word.startswith(_DESCRIPTORS)]
-    environment = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **python_environment()}
-    held = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
-    try:
+    arguments, given, environment = _prepared(arguments)
+    with _ends_held_back():
         return subprocess.Popen([sys.executable, '-m', 'dz_ros.nodes.main', name, *arguments],
                                 env=environment, stdin=subprocess.DEVNULL,
                                 start_new_session=True, pass_fds=(*given, *inherited), **streams)
+
+
+def start_nodes(nodes: Mapping[str, Sequence[str]],
+                output: int | None = None) -> Iterator[tuple[str, NodeProcess]]:
+    """Start several nodes, as `start_node` does one; yield name and process of each.
+
+    Where the system allows it they are copies of this process, which has imported what they need:
+    so this process must not start a thread before the last of them is started.
+
+    Args:
+        nodes: Executable → command line.
+        output: Descriptor that their standard output and error go to, None = a pipe for each, of
+            text, to its `stdout`.
+    """
+    if len(nodes) > 1:
+        forked.preload()
+    for name, words in nodes.items():
+        if len(nodes) == 1 or not forked.possible():
+            yield name, start_node(name, words, stdout=output or subprocess.PIPE,
+                                   stderr=output or subprocess.STDOUT, text=True,
+                                   errors='replace')
+            continue
+        arguments, given, environment = _prepared(words)
+        with _ends_held_back():
+            process = forked.Forked(name, arguments, environment, given, output)
+        yield name, process
+
+
+def _prepared(arguments: Sequence[str]) -> tuple[list[str], list[int], dict[str, str]]:
+    """Return a node's command line, the descriptors it names, its environment."""
+    words = [*arguments, *(['--ros-args', NO_LOG_FILES] if _log_folder_fault() else [])]
+    given = [int(word.removeprefix(_DESCRIPTORS)) for word in words
+             if word.startswith(_DESCRIPTORS)]
+    return words, given, {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST', **python_environment()}
+
+
+@contextmanager
+def _ends_held_back() -> Iterator[None]:
+    """Start a process whose signals wait until it can take them."""
+    held = signal.pthread_sigmask(signal.SIG_BLOCK, ENDS)
+    try:
+        yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
 
 
-def ask_to_end(process: subprocess.Popen[Any]) -> None:
+def ask_to_end(process: NodeProcess) -> None:
     """Ask a node to end, also one that is stopped (SIGSTOP)."""
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
         process.send_signal(signal.SIGCONT)
 
 
-def wait_or_kill(process: subprocess.Popen[Any]) -> int:
+def wait_or_kill(process: NodeProcess) -> int:
     """Return a node's exit code; kill it where it does not end in time."""
     try:
         return process.wait(GRACE)
@@ -151,7 +191,7 @@ class Nodes:
 
     def __init__(self) -> None:
         self.interrupted = False
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._processes: dict[str, NodeProcess] = {}
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Nodes:
@@ -165,10 +205,11 @@ class Nodes:
         for number, handler in self._previous.items():
             signal.signal(number, handler)
 
-    def start(self, name: str, arguments: Sequence[str]) -> None:
-        """Start a node with its ROS arguments, in a session of its own."""
-        self._processes[name] = start_node(name, ['--ros-args', *arguments],
-                                           stdout=sys.stderr.fileno())
+    def start(self, nodes: Mapping[str, Sequence[str]]) -> None:
+        """Start nodes with their ROS arguments, each in a session of its own."""
+        for name, process in start_nodes({name: ['--ros-args', *arguments] for name, arguments in
+                                          nodes.items()}, sys.stderr.fileno()):
+            self._processes[name] = process
 
     def wait(self, name: str) -> int:
         """Wait until a node ends and return its exit code.
@@ -179,8 +220,8 @@ class Nodes:
         while (code := process.poll()) is None:
             failed = [other for other in self._processes.values() if other.poll()]
             if self.interrupted or failed:
-                self.end(name)
-                return failed[0].returncode if failed else process.returncode
+                own = self.end(name)
+                return failed[0].wait() if failed else own
             time.sleep(_POLL)
         return code
 

@@ -7,7 +7,7 @@ Over 300 lines: starting, watching and ending the processes are one thing.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import replace
 import json
@@ -15,7 +15,6 @@ import os
 from pathlib import Path
 import re
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -33,8 +32,9 @@ from dz_ros.cli.options import (
 from dz_ros.cli.processes import (
     ask_to_end,
     check_rclpy,
+    NodeProcess,
     ParameterFiles,
-    start_node,
+    start_nodes,
     wait_or_kill,
 )
 from dz_ros.cli.progress import stage
@@ -131,7 +131,7 @@ class _Loop:
         self._show_at = 0.0
         self._line = ''
         self._lock = threading.Lock()
-        self._processes: dict[str, subprocess.Popen[str]] = {}
+        self._processes: dict[str, NodeProcess] = {}
         self._failed: dict[str, int] = {}
         self._missed: set[str] = set()
         self._readers: list[threading.Thread] = []
@@ -160,8 +160,12 @@ class _Loop:
         """Start everything, wait for the actuator's host, end everything in order."""
         on_ends(self._interrupt)    # for good: a second signal must not break the orderly end
         try:
-            for name, arguments in self._arguments.items():
-                self._start(name, arguments)
+            for name, process in start_nodes(self._arguments):
+                self._processes[name] = process
+            for process in self._processes.values():    # no thread before the last is started
+                reader = threading.Thread(target=self._read, args=(process,), daemon=True)
+                reader.start()
+                self._readers.append(reader)
             self._watch()
         finally:
             self._end()
@@ -216,16 +220,7 @@ class _Loop:
         self._print(printable(f'next: dz report {directory}'))
         return failed
 
-    def _start(self, name: str, arguments: Sequence[str]) -> None:
-        """Start one node and read its output."""
-        process = start_node(name, arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                             text=True, errors='replace')
-        self._processes[name] = process
-        reader = threading.Thread(target=self._read, args=(process,), daemon=True)
-        reader.start()
-        self._readers.append(reader)
-
-    def _read(self, process: subprocess.Popen[str]) -> None:
+    def _read(self, process: NodeProcess) -> None:
         """Print a node's log; show its progress."""
         assert process.stdout is not None
         for line in process.stdout:

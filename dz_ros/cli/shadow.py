@@ -94,9 +94,8 @@ def _feed(arguments: argparse.Namespace, recorded: RunData, live: Configuration,
     feeding = files.add_parameters(own)
     recording = files.add_parameters({'directory': str(directory.absolute())})
     with Nodes() as nodes:
-        nodes.start('recorder_node', [*common, '--params-file', recording])
-        nodes.start('controller_node', common)
-        nodes.start(feeder, [*words, '--params-file', feeding])
+        nodes.start({'recorder_node': [*common, '--params-file', recording],
+                     'controller_node': common, feeder: [*words, '--params-file', feeding]})
         codes = [nodes.wait(feeder), nodes.end('controller_node'), nodes.end('recorder_node')]
         if nodes.interrupted:
             return 130

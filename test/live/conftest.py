@@ -22,6 +22,8 @@ aiohttp = pytest.importorskip('aiohttp', reason='aiohttp is not installed: no pa
 
 TIME_OUT = 180e3
 """Longest wait for anything in the page [ms]."""
+LOOK_AGAIN = 100.0
+"""Between two looks at the page, each of which takes a browser some milliseconds [ms]."""
 
 
 class Puppet(Source):
@@ -198,7 +200,7 @@ def _until(page, expression):
     script = expression if expression.startswith('()') else f'() => ({expression})'
     while not page.evaluate(script):
         assert time.monotonic() < deadline, (expression, page.inner_text('#state'))
-        page.wait_for_timeout(20)
+        page.wait_for_timeout(LOOK_AGAIN)
 
 
 @pytest.fixture

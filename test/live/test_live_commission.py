@@ -85,7 +85,7 @@ def make(page, step, moves):
             shown, changed = found, time.monotonic()
         assert page.process.poll() is None, page.process.output
         assert time.monotonic() - changed < TIME_OUT, (shown, page.process.output)
-        page.wait_for_timeout(20)
+        page.wait_for_timeout(200.0)
     return page.evaluate(f'{item(step)}.dataset.outcome')
 
 
@@ -122,7 +122,7 @@ def test_a_drive_on_a_bus_or_a_joint_ends_in_a_loop_that_tracks(request, commiss
 
 def begin_with(commission, device, own):
     """Start the commissioning of a device in its page, without limits."""
-    return commission(device, *settings(*own), '--repeats', '8', '--ramp', '2',
+    return commission(device, *settings(*own), '--repeats', '4', '--ramp', '2',
                       '--pause', '0.2', '--loop-duration', '12')
 
 

@@ -11,7 +11,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.usefixtures('ros_domain')]
 
 DZ = ('-m', 'dz_ros')
-LIMITS = ('--travel', '2', '--speed', '2', '--effort', '6', '--repeats', '8', '--ramp', '2',
+LIMITS = ('--travel', '2', '--speed', '2', '--effort', '6', '--repeats', '4', '--ramp', '2',
           '--pause', '0.2', '--loop-duration', '12', '--yes')
 STEPS = ['limits', 'sign', 'sensor', 'identify', 'propose', 'check', 'loop', 'report']
 

@@ -237,3 +237,13 @@ def test_without_rclpy_it_reports_it_in_one_line(processes, tmp_path):
     for process in (node, command):
         assert 'rclpy is not installed here' in process.output
         assert process.output.count('\n') == 0
+
+
+def test_dz_run_copies_itself_and_each_node_is_a_process_of_its_own(processes, children):
+    run = processes(*DZ, 'run', 'wang2004', '--duration', '0', fresh=True)
+    found = children(run, 3)
+    assert set(found) == {'plant_node', 'controller_node', 'trajectory_node'}
+    assert len({os.getsid(pid) for pid in (run.pid, *found.values())}) == 4
+    run.wait_for_line('t ')
+    assert run.interrupt() == 0, run.output
+    assert not any(Path(f'/proc/{pid}').exists() for pid in found.values())

@@ -83,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.namespace:
         words += ['-r', f'__ns:=/{arguments.namespace.strip("/")}']
     with ParameterFiles() as files, Nodes() as nodes:
-        nodes.start('replay_node', ['--params-file', files.add_parameters(parameters), *words])
+        nodes.start({'replay_node': ['--params-file', files.add_parameters(parameters), *words]})
         code = nodes.wait('replay_node')
         if nodes.interrupted and code == 0 and not arguments.loop:
             return 130

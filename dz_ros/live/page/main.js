@@ -17,13 +17,13 @@ import * as theme from './theme_switch.js';
 import {keys, View} from './view.js';
 import {seconds} from './words.js';
 
-const FRAME = 50;       // ms between two drawings at least
+const FRAME = 50, SLOWEST = 250;     // ms between two drawings, however dear one is
 const WORDS = 100;      // ms between two writings of numbers
 const page = Object.fromEntries([...document.querySelectorAll('[id]')].map((node) => [node.id, node]));
 
 const app = {
   link: null, hello: null, status: null, rowsAt: NaN, stores: [], plots: null, bars: [],
-  tiles: null, finished: false, dirty: true, cost: 0, drawnAt: 0, writtenAt: 0,
+  tiles: null, finished: false, dirty: true, cost: 0, writtenAt: 0,
 };
 const view = new View((what) => {
   app.dirty = true;
@@ -144,20 +144,23 @@ function happened(event) {
   app.dirty = true;
 }
 
+// A frame is asked for only when one is due: each costs the browser more than what is drawn.
 function frame(now) {
-  requestAnimationFrame(frame);
+  const begun = performance.now();
   app.scrub.step();
-  if (app.dirty && app.plots && now - app.drawnAt > Math.max(FRAME, 3 * app.cost)) {
-    const begun = performance.now();
-    app.drawnAt = now;
+  const draws = app.dirty && app.plots;
+  if (draws) {
     app.dirty = false;
     app.plots.draw(app.stores);
-    app.cost = performance.now() - begun;
   }
   if (now - app.writtenAt > WORDS) {
     app.writtenAt = now;
     words();
   }
+  setTimeout(() => {      // after what the plots and the browser put off until now
+    if (draws) app.cost = performance.now() - begun;
+    setTimeout(() => requestAnimationFrame(frame), Math.min(Math.max(FRAME, 3 * app.cost), SLOWEST));
+  });
 }
 
 let barsAt = 0;

@@ -45,8 +45,8 @@ SPIN_LIMIT = 0.05
 """Longest wait for anything [s]; a signal is noticed within it."""
 DELIVERY_TIMEOUT = 4.0
 """Longest wait for subscribers to have what was published [s]; DDS repairs losses every 3."""
-PEER_WAIT_LOG_PERIOD = 5.0
-"""A node that waits for its peers logs it after each of these [s]."""
+PEER_WAIT_UNLOGGED, PEER_WAIT_LOG_PERIOD = 2.0, 5.0
+"""A node that waits for its peers logs it after the first, then after each of the second [s]."""
 LOCKSTEP_SERVICE_PERIOD = 0.05
 """In lockstep the callbacks of all but the loop's topics are served after each of these [s]."""
 MAX_CALLBACKS_AT_ONCE = 20
@@ -340,15 +340,15 @@ class LoopNode(Node):
 
     def wait_for_peers(self, *more: Callable[[], list[str]]) -> bool:
         """Spin until all peers are there and nothing `more` is missing; False = it is to end."""
-        logged = time.monotonic()
+        log_at = time.monotonic() + PEER_WAIT_UNLOGGED
         while not self.halted:
             self.spin_until(time.monotonic() + 0.01)
             missing = self.missing() + [item for function in more for item in function()]
             if not missing:
                 return True
-            if time.monotonic() - logged > PEER_WAIT_LOG_PERIOD:
+            if time.monotonic() > log_at:
                 self.get_logger().info(f'waiting for {", ".join(missing)}')
-                logged = time.monotonic()
+                log_at = time.monotonic() + PEER_WAIT_LOG_PERIOD
         return False
 
     # Spinning.
