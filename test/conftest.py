@@ -63,9 +63,17 @@ if 'PYTEST_XDIST_WORKER' not in os.environ:
     atexit.register(shutil.rmtree, CODE, ignore_errors=True)
 keep_compiled()
 
-PROCESSES, BROWSER = 'processes', 'browser'
-"""First part of the name of a group of tests that start processes of ROS or a browser; the name of
-the group of those that need a browser."""
+PROCESSES, BROWSER, LONG = 'processes', 'browser', 'long'
+"""First part of the name of a group of tests that start processes of ROS or a browser; second part
+of the group of those that need a browser, and of groups that take long: these come first."""
+WORKERS_WITH_ROLES = 3
+"""From this number of workers on the last one only computes."""
+PLACE = pytest.StashKey[int]()
+PLACES, PLACES_AT_ONCE, IDLE, LONGEST_WAIT = 3, 2, 0.5, 300.0
+"""Tests with processes at most and at least at a time; share of the cores that is idle before one
+more begins; longest wait for that [s]."""
+LOOK = 3.0
+"""How long a share of the cores is measured [s]."""
 
 END_TIME_OUT = 30.0
 """A process that has not ended this long after SIGINT is killed [s]."""
@@ -89,9 +97,29 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         file, _, function = item.nodeid.partition('[')[0].partition('::')
         marks = {mark.name for mark in item.iter_markers()}
         group = (f'{PROCESSES} {BROWSER}' if 'live' in marks else
-                 f'{PROCESSES} {file} {function}' if 'ros' in marks else
+                 f'{PROCESSES} {LONG if "slow" in marks else ""} {file} {function}'
+                 if 'ros' in marks else
                  f'{file} {function}' if '/drivers/' in file else file)
         item.add_marker(pytest.mark.xdist_group(group))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Have a worker that only computes do it in the time that loops leave."""
+    worker = getattr(session.config, 'workerinput', {})
+    count = worker.get('workercount', 0)
+    if count < WORKERS_WITH_ROLES or worker['workerid'] != f'gw{count - 1}' or not any(
+            starts_processes(item) for item in session.items):
+        return
+    os.nice(19)
+    with contextlib.suppress(OSError):      # of a session, where the kernel groups by session
+        os.setsid()
+        Path('/proc/self/autogroup').write_text('19', encoding='ascii')
+
+
+def starts_processes(item: pytest.Item) -> bool:
+    """Return whether a test starts processes of ROS or a browser."""
+    return any(item.get_closest_marker(mark) for mark in ('ros', 'live'))
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -102,23 +130,78 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     from xdist.scheduler import LoadGroupScheduling
 
     class Mixed(LoadGroupScheduling):
-        """The last worker takes what starts no processes first, all others what does.
+        """The last worker takes what starts no processes, all others first what does.
 
         Tests with ROS processes mostly wait, so some of them at once, each in a domain of its
         own, leave the cores enough for one that computes.
         """
 
         def _assign_work_unit(self, node: Any) -> None:
-            starts = node is not self.nodes[-1] or len(self.nodes) == 1
-            longest = f'{PROCESSES} {BROWSER}'
-            wanted = longest if starts and longest in self.workqueue else next(
-                (scope for scope in self.workqueue if scope.startswith(PROCESSES) == starts),
-                None)
+            computes = len(self.nodes) > 1 and node.gateway.id == f'gw{len(self.nodes) - 1}'
+            wanted = next((scope for part in (BROWSER, LONG, '') for scope in self.workqueue
+                           if scope.startswith(f'{PROCESSES} {part}') and not computes),
+                          next((scope for scope in self.workqueue
+                                if not scope.startswith(PROCESSES)), None))
             if wanted is not None:
                 self.workqueue.move_to_end(wanted, last=False)
+            elif len(self.nodes) >= WORKERS_WITH_ROLES:
+                node.shutdown()
+                return
             super()._assign_work_unit(node)
 
     return Mixed(config, log)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Have a test that starts processes wait while as many of them run as the machine bears."""
+    if starts_processes(item) and hasattr(item.config, 'workerinput') and sys.platform == 'linux':
+        found = place()
+        if found is not None:
+            item.stash[PLACE] = found
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_runtest_teardown(item: pytest.Item) -> None:
+    """Give the place of a test to another one."""
+    held = item.stash.get(PLACE, None)
+    if held is not None:
+        os.close(held)
+
+
+def place() -> int | None:
+    """Return one of the places for tests that start processes, once there is one.
+
+    Two are always there; of the others one is given while the cores are idle enough.
+    """
+    give_up = time.monotonic() + LONGEST_WAIT
+    while time.monotonic() < give_up:
+        for number in range(PLACES):
+            if number == PLACES_AT_ONCE and idle_share() < IDLE:
+                break
+            file = os.open(Path(os.environ[VARIABLE], f'place-{number}'), os.O_CREAT | os.O_RDWR)
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                os.close(file)
+                continue
+            return file
+        else:
+            time.sleep(0.5)
+    return None
+
+
+def idle_share() -> float:
+    """Return which share of the cores was idle, or did what can wait, during the next seconds."""
+    def times() -> list[int]:
+        line = Path('/proc/stat').read_text(encoding='ascii').partition('\n')[0]
+        return [int(word) for word in line.split()[1:9]]
+
+    before = times()
+    time.sleep(LOOK)
+    spent = [after - earlier for after, earlier in zip(times(), before, strict=True)]
+    _, nice, _, idle, *_ = spent
+    return (nice + idle) / max(sum(spent), 1)
 
 
 @pytest.fixture(autouse=True)

@@ -13,6 +13,7 @@ from contextlib import suppress
 import ctypes
 import gc
 import importlib
+import io
 import os
 from pathlib import Path
 import runpy
@@ -25,6 +26,8 @@ from typing import NoReturn, TextIO
 
 from dz_ros.errors import DzRosError
 
+VERBS = (('run',), ('bag', 'replay'))
+"""Verbs that start nodes and do nothing else before."""
 PROGRAM = 'dz_ros.nodes.main'
 """Module that a node's process runs, with the node's name as its first argument."""
 COMMON = ('rclpy', 'rclpy.lifecycle', 'std_msgs.msg', 'std_srvs.srv', 'rcl_interfaces.srv',
@@ -38,9 +41,18 @@ _ARG_START, _ARG_END = 48 - 3, 49 - 3
 _ours: list[bool] = []
 
 
-def allow() -> None:
-    """Allow this process to be copied: it is ``dz``, which has no other user's threads or DDS."""
-    _ours.append(True)
+def allow(words: Sequence[str]) -> None:
+    """Allow this process to be copied: it is ``dz`` with a verb that is one of `VERBS`.
+
+    Others may have a participant of DDS when they start nodes, as `dz driver commission` of a
+    joint does. Its threads are not copied, what they have locked is, and a node would wait for it
+    for ever.
+
+    Args:
+        words: Command line of this process, without the program's name.
+    """
+    if any(tuple(words[:len(verb)]) == verb for verb in VERBS):
+        _ours.append(True)
 
 
 def possible() -> bool:
@@ -169,9 +181,10 @@ def detach(environment: Mapping[str, str], inherited: Collection[int], output: i
     os.environ.clear()
     os.environ.update(environment)
     # What they knew of the files that they wrote to is of the process that was copied.
-    unbuffered = bool(environment.get('PYTHONUNBUFFERED'))
-    sys.stdout = os.fdopen(1, 'w', closefd=False)
-    sys.stdout.reconfigure(write_through=unbuffered)
+    if environment.get('PYTHONUNBUFFERED'):
+        sys.stdout = io.TextIOWrapper(os.fdopen(1, 'wb', 0, closefd=False), write_through=True)
+    else:
+        sys.stdout = os.fdopen(1, 'w', closefd=False)
     sys.stderr = os.fdopen(2, 'w', buffering=1, errors='backslashreplace', closefd=False)
 
 

@@ -66,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if argv is None:
         drop_current_folder()
-        forked.allow()
+        forked.allow(sys.argv[1:])
     previous = {number: signal.getsignal(number) for number in ENDS}
     try:
         return _run(list(sys.argv[1:] if argv is None else argv))

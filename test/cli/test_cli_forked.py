@@ -22,7 +22,7 @@ def program(body, **settings):
     text = textwrap.dedent("""
         import os, runpy, signal, subprocess, sys, threading, time
         from dz_ros.cli import forked
-        forked.allow()
+        forked.allow(['run', 'servo'])
         def start(node, words=(), inherited=(), output=None, environment=os.environ):
             runpy.run_module = lambda *_, **__: sys.exit(node())
             return forked.Forked('plant_node', words, environment, inherited, output)
@@ -104,13 +104,19 @@ def test_output_of_several_nodes_goes_where_it_is_to(tmp_path):
     assert sorted((tmp_path / 'out').read_text().split()) == ['a', 'b']
 
 
-def test_with_a_second_thread_and_in_other_programs_nodes_are_not_copies():
+def test_with_a_second_thread_by_other_verbs_and_in_other_programs_nodes_are_not_copies():
     done = program("""
         print(forked.possible())
+        forked._ours.clear()
+        for words in ([], ['bag'], ['driver', 'commission'], ['driver', 'run'], ['bag', 'replay']):
+            forked.allow(words)
+            print(*words, forked.possible())
         threading.Thread(target=time.sleep, args=(0.2,)).start()
         print(forked.possible())
         """)
-    assert (done.stdout, done.stderr) == ('True\nFalse\n', '')
+    assert (done.stdout.splitlines(), done.stderr) == ([
+        'True', 'False', 'bag False', 'driver commission False', 'driver run False',
+        'bag replay True', 'False'], '')
     assert not forked.possible()        # this process is not dz
 
 

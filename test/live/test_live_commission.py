@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dz_ros.errors import ConfigurationError, LoopError
-from dz_ros.identification.commissioning import STEPS
+from dz_ros.identification.commissioning import MOVING, STEPS
 from dz_ros.recording.reader import read_run
 
 pytestmark = pytest.mark.live
@@ -120,6 +120,19 @@ def test_a_drive_on_a_bus_or_a_joint_ends_in_a_loop_that_tracks(request, commiss
     ends_in_a_loop_that_tracks(page, process, out, axe)
 
 
+def made(page, step):
+    """Make a step, again where a stall may have spoilt it; return its last outcome."""
+    for _ in range(TRIES):
+        outcome = make(page, step, step in MOVING)
+        if outcome == 'done' or step not in STALLED:
+            break
+        # A loop that a stall ended has left the device elsewhere than it was identified.
+        if 'begin with --from identify' in page.inner_text(f'#commission-{step}'):
+            for earlier in STEPS[STEPS.index('identify'):STEPS.index(step)]:
+                assert made(page, earlier) == 'done', page.process.output
+    return outcome
+
+
 def begin_with(commission, device, own):
     """Start the commissioning of a device in its page, without limits."""
     return commission(device, *settings(*own), '--repeats', '4', '--ramp', '2',
@@ -130,11 +143,7 @@ def ends_in_a_loop_that_tracks(page, process, out, axe):
     """Make every step in the page, one of them twice, and check what came of them."""
     assert make(page, 'limits', False) == 'done'
     for step in STEPS[1:]:
-        moves = step in ('sign', 'sensor', 'identify', 'loop')
-        for _ in range(TRIES):
-            outcome = make(page, step, moves)
-            if outcome == 'done' or step not in STALLED:
-                break
+        outcome = made(page, step)
         assert outcome == 'done', (step, page.inner_text(f'#commission-{step}'), process.output)
         if step == 'sensor':        # another viewer, or the same one later, sees the same
             page.reload()
@@ -155,7 +164,7 @@ def ends_in_a_loop_that_tracks(page, process, out, axe):
     assert list(newest) == list(STEPS)
     assert newest['sign']['result']['left'] < 0.0 < newest['sign']['result']['right']
     assert newest['loop']['result']['error'] <= 0.1 * newest['limits']['result']['amplitude']
-    for step in ('sign', 'sensor', 'identify', 'loop'):
+    for step in MOVING:
         assert len(read_run(out / newest[step]['folder'] / 'run').channels['state']) > 100
 
 

@@ -33,7 +33,7 @@ class Broken(DriverNode):
             elif FLAW == 'latency':
                 data[5] = 0.0
             elif FLAW == 'made-up latency':
-                data[5] = 0.001
+                data[5] = 1e-5      # no controller answers so quickly
             elif FLAW == 'saturation':
                 self.report(1000.0, data[1])
             message.data = data

@@ -4,6 +4,7 @@
 Over 300 lines: what a test of nodes does from outside, one class for each kind of loop.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 import json
 from pathlib import Path
@@ -19,6 +20,8 @@ from dz_ros.core.records import State
 from dz_ros.recording.save import save_run
 
 TIME_OUT = 180.0
+JUDGED_EVERY = 50
+"""Samples between two judgements of what was tracked, which cost as much as receiving them."""
 ASK_AGAIN = 10.0
 """A service that has not answered is asked again [s]."""
 PATIENT = ('-p', 'loop.duration:=0.0', '-p', 'safety.state_hold:=200', '-p',
@@ -209,12 +212,26 @@ def operator(ros_domain):
     made.close()
 
 
+class Rows(Sequence):
+    """Numbers of messages that were received, without a copy of all at each look."""
+
+    def __init__(self, messages):
+        self._messages = messages
+
+    def __len__(self):
+        return len(self._messages)
+
+    def __getitem__(self, place):
+        found = self._messages[place]
+        return [item.data for item in found] if isinstance(place, slice) else found.data
+
+
 class Watcher(Operator):
     """An operator of a loop around `actuator_node`, which may fall into fault."""
 
     @property
     def states(self):
-        return [message.data for message in self.received['state']]
+        return Rows(self.received['state'])
 
     def running(self, samples=50):
         self.wait_for_mode(actuator_node='running', controller_node='running')
@@ -226,12 +243,14 @@ class Watcher(Operator):
 
         A busy machine may hold any process for long, so only what lasts is judged.
         """
-        width = len(State.labels(2))
+        width, judged = len(State.labels(2)), 0
 
         def good():
-            recent = [data[row * width:] for data in self.states[-samples:]]
-            if len(recent) < samples:
+            nonlocal judged
+            if len(self.states) < max(samples, judged + JUDGED_EVERY):
                 return False
+            judged = len(self.states)
+            recent = [data[row * width:] for data in self.states[-samples:]]
             if recent[0][1] > 20.0 and 'fault' in {mode for mode, _ in self.modes().values()}:
                 self.recovered()
             errors = sorted(abs(data[2] - trajectory(data[1])[0]) for data in recent)
