@@ -68,12 +68,6 @@ PROCESSES, BROWSER, LONG = 'processes', 'browser', 'long'
 of the group of those that need a browser, and of groups that take long: these come first."""
 WORKERS_WITH_ROLES = 3
 """From this number of workers on the last one only computes."""
-PLACE = pytest.StashKey[int]()
-PLACES, PLACES_AT_ONCE, IDLE, LONGEST_WAIT = 3, 2, 0.5, 300.0
-"""Tests with processes at most and at least at a time; share of the cores that is idle before one
-more begins; longest wait for that [s]."""
-LOOK = 3.0
-"""How long a share of the cores is measured [s]."""
 
 END_TIME_OUT = 30.0
 """A process that has not ended this long after SIGINT is killed [s]."""
@@ -150,58 +144,6 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
             super()._assign_work_unit(node)
 
     return Mixed(config, log)
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Have a test that starts processes wait while as many of them run as the machine bears."""
-    if starts_processes(item) and hasattr(item.config, 'workerinput') and sys.platform == 'linux':
-        found = place()
-        if found is not None:
-            item.stash[PLACE] = found
-
-
-@pytest.hookimpl(trylast=True)
-def pytest_runtest_teardown(item: pytest.Item) -> None:
-    """Give the place of a test to another one."""
-    held = item.stash.get(PLACE, None)
-    if held is not None:
-        os.close(held)
-
-
-def place() -> int | None:
-    """Return one of the places for tests that start processes, once there is one.
-
-    Two are always there; of the others one is given while the cores are idle enough.
-    """
-    give_up = time.monotonic() + LONGEST_WAIT
-    while time.monotonic() < give_up:
-        for number in range(PLACES):
-            if number == PLACES_AT_ONCE and idle_share() < IDLE:
-                break
-            file = os.open(Path(os.environ[VARIABLE], f'place-{number}'), os.O_CREAT | os.O_RDWR)
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                os.close(file)
-                continue
-            return file
-        else:
-            time.sleep(0.5)
-    return None
-
-
-def idle_share() -> float:
-    """Return which share of the cores was idle, or did what can wait, during the next seconds."""
-    def times() -> list[int]:
-        line = Path('/proc/stat').read_text(encoding='ascii').partition('\n')[0]
-        return [int(word) for word in line.split()[1:9]]
-
-    before = times()
-    time.sleep(LOOK)
-    spent = [after - earlier for after, earlier in zip(times(), before, strict=True)]
-    _, nice, _, idle, *_ = spent
-    return (nice + idle) / max(sum(spent), 1)
 
 
 @pytest.fixture(autouse=True)

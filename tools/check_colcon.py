@@ -20,7 +20,7 @@ EXECUTABLES = ('dz', 'dz_ros', 'plant_node', 'actuator_node', 'controller_node',
 TIME_LIMIT = 1800
 PYTEST_ARGS = ('-m', 'not ros and not live and not slow',   # those are left to `make test`
                '--no-cov',          # colcon adds --cov, which takes twice as long
-               '-n', '3', '--dist', 'loadgroup')
+               '--hypothesis-profile=quick', '-n', '3', '--dist', 'loadgroup')
 
 
 def files(folder: Path) -> set[str]:

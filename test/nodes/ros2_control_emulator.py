@@ -46,7 +46,7 @@ from dz_ros.drivers.simulated import SimulatedActuator, SimulatedParameters
 from dz_ros.files.configurations import load_configuration
 
 CONFIG, KIND = sys.argv[1], sys.argv[2]
-OPTIONS = {'rate': '500', 'joints': '', 'interface': 'effort', 'delay': '0',
+OPTIONS = {'rate': '250', 'joints': '', 'interface': 'effort', 'delay': '0',
            'log': '', 'active': '0', 'namespace': '', 'activity': '0',
            **dict(word.split('=', 1) for word in sys.argv[3:])}
 OTHERS = ('shoulder', 'wrist')

@@ -330,8 +330,7 @@ def test_joint_states_of_no_use_are_a_fault_and_a_reset_goes_on(watcher, robot):
         assert reason in reported, word
         watcher.wait(lambda: robot.held == 0.0)
         robot.do(back)
-        watcher.wait(watcher.recovered)
-        watcher.wait(lambda: watcher.modes()['actuator_node'][0] == 'running')
+        watcher.start_again('actuator_node')
         watcher.wait(lambda: robot.held != 0.0)
     assert all(math.isfinite(number) for data in watcher.states for number in data)
 
