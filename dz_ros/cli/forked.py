@@ -23,6 +23,7 @@ import sys
 import threading
 import time
 from typing import NoReturn, TextIO
+import warnings
 
 from dz_ros.errors import DzRosError
 
@@ -98,7 +99,9 @@ class Forked:
         for stream in (sys.stdout, sys.stderr):     # or the copy writes what waits in them, too
             with suppress(OSError):
                 stream.flush()
-        pid = os.fork()
+        with warnings.catch_warnings():     # NumPy's threads wait, and begin again in the copy
+            warnings.simplefilter('ignore', DeprecationWarning)
+            pid = os.fork()
         if pid == 0:
             _be(name, arguments, environment, inherited, write)
         self.pid = pid
