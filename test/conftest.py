@@ -68,6 +68,8 @@ PROCESSES, BROWSER, LONG = 'processes', 'browser', 'long'
 of the group of those that need a browser, and of groups that take long: these come first."""
 WORKERS_WITH_ROLES = 3
 """From this number of workers on the last one only computes."""
+LESS = 5
+"""Niceness of that one: a third of a loop's weight, where neither would get all it wants."""
 
 END_TIME_OUT = 30.0
 """A process that has not ended this long after SIGINT is killed [s]."""
@@ -105,10 +107,10 @@ def pytest_collection_finish(session: pytest.Session) -> None:
     if count < WORKERS_WITH_ROLES or worker['workerid'] != f'gw{count - 1}' or not any(
             starts_processes(item) for item in session.items):
         return
-    os.nice(19)
+    os.nice(LESS)
     with contextlib.suppress(OSError):      # of a session, where the kernel groups by session
         os.setsid()
-        Path('/proc/self/autogroup').write_text('19', encoding='ascii')
+        Path('/proc/self/autogroup').write_text(str(LESS), encoding='ascii')
 
 
 def starts_processes(item: pytest.Item) -> bool:

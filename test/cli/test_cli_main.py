@@ -65,7 +65,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, limits)       # coverage writes its ow
 
 def test_parameters_of_nodes_are_whole_or_an_error():
     done = subprocess.run([sys.executable, '-c', LIMITED], capture_output=True, text=True,
-                          timeout=60, check=False, env={
+                          timeout=300, check=False, env={
                               **os.environ, 'PYTHONPATH': str(Path(dz_ros.__file__).parents[1])})
     assert done.stdout.split() == ['EFBIG', '4096'], done.stderr
 
@@ -164,7 +164,7 @@ def with_sources():
 
 
 def test_python_m_dz_ros_is_dz(tmp_path):
-    done = subprocess.run([sys.executable, '-m', 'dz_ros', 'list', 'nope'], timeout=60,
+    done = subprocess.run([sys.executable, '-m', 'dz_ros', 'list', 'nope'], timeout=300,
                           capture_output=True, text=True, check=False, cwd=tmp_path,
                           env=with_sources())
     assert done.returncode == 2
@@ -183,7 +183,7 @@ def test_python_m_dz_ros_is_dz(tmp_path):
 def test_a_verb_loads_no_more_than_it_needs(words, unwanted, tmp_path):
     code = ('import sys; from dz_ros.cli.main import main; main(sys.argv[1:]); '
             'print("loaded", *sys.modules)')
-    done = subprocess.run([sys.executable, '-c', code, *words], timeout=60, capture_output=True,
+    done = subprocess.run([sys.executable, '-c', code, *words], timeout=300, capture_output=True,
                           text=True, check=True, cwd=tmp_path, env=with_sources())
     loaded = set(done.stdout.splitlines()[-1].split()[1:])
     assert 'dz_ros.cli.main' in loaded
@@ -191,7 +191,7 @@ def test_a_verb_loads_no_more_than_it_needs(words, unwanted, tmp_path):
 
 
 def test_a_terminal_without_greek_is_no_error(tmp_path):
-    done = subprocess.run([sys.executable, '-m', 'dz_ros', 'list', 'trajectories'], timeout=60,
+    done = subprocess.run([sys.executable, '-m', 'dz_ros', 'list', 'trajectories'], timeout=300,
                           capture_output=True, check=False, cwd=tmp_path,
                           env={**with_sources(), 'PYTHONIOENCODING': 'ascii', 'PYTHONUTF8': '0'})
     assert done.returncode == 0, done.stderr

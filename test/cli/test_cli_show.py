@@ -130,7 +130,7 @@ def test_a_bare_noun_prints_help(words, capsys):
 def test_the_shell_completes(typed, wanted, tmp_path):
     pytest.importorskip('argcomplete')
     done = subprocess.run(
-        [sys.executable, '-m', 'dz_ros'], check=False, timeout=60, cwd=tmp_path,
+        [sys.executable, '-m', 'dz_ros'], check=False, timeout=300, cwd=tmp_path,
         env={**os.environ, '_ARGCOMPLETE': '1', '_ARGCOMPLETE_IFS': '\n', 'COMP_LINE': typed,
              'COMP_POINT': str(len(typed)), '_ARGCOMPLETE_STDOUT_FILENAME': str(tmp_path / 'out'),
              'PYTHONPATH': os.pathsep.join(sys.path)})

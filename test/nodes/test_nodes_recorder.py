@@ -36,7 +36,7 @@ def goes_on(run, lines=3):
     run.wait_for_line(PROGRESS, nth=seen + lines)
 
 
-def wait_for_messages(run, folder, timeout=60.0):
+def wait_for_messages(run, folder, timeout=180.0):
     """Wait until messages of a run that is being recorded can be read: a chunk is on the disk."""
     deadline = time.monotonic() + timeout
     for attempt in itertools.count():

@@ -110,5 +110,5 @@ def test_no_scheduler_is_one_line():
             'try: list(pool.execute([(abs, (1,))], cluster="tcp://127.0.0.1:9"))\n'
             'except ConfigurationError as error: sys.exit("no scheduler" not in str(error))\n'
             'sys.exit(3)')
-    assert subprocess.run([sys.executable, '-c', code], timeout=60, check=False,
+    assert subprocess.run([sys.executable, '-c', code], timeout=300, check=False,
                           capture_output=True).returncode == 0
