@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Starts programs of this package for tests: real processes, copied from one that has imported.
 
-A start of ``python -m dz_ros`` or of a node is three quarters imports. The server makes them once
-and forks; each program runs by its own entry, in its own session, with its own environment and
+Most of a start of ``python -m dz_ros`` or of a node are imports. The server makes them once and
+forks; each program runs by its own entry, in its own session, with its own environment and
 descriptors. It is asked by lines of JSON on a socket, ends with it, and kills what still runs.
 
 ``python process_server.py DESCRIPTOR``; `Server` is the other end.
@@ -20,14 +20,15 @@ import subprocess
 import sys
 import threading
 
-PROGRAMS = {'dz_ros', 'dz_ros.nodes.main'}
+from dz_ros.cli import forked
+
+PROGRAMS = {'dz_ros', forked.PROGRAM}
 """Modules that ``-m`` may name."""
-MODULES = ('rclpy', 'rclpy.lifecycle', 'std_msgs.msg', 'std_srvs.srv', 'rcl_interfaces.srv',
-           'dz_ros.__main__', 'dz_ros.cli.run', 'dz_ros.cli.bag.replay', 'dz_ros.cli.shadow',
-           'dz_ros.cli.operator', 'dz_ros.report.verdict', 'dz_ros.nodes.main',
-           *(f'dz_ros.nodes.{name}_node' for name in (
-               'plant', 'actuator', 'controller', 'trajectory', 'recorder', 'replay', 'operator',
-               'check', 'live', 'feed')))
+MODULES = (*forked.COMMON, *PROGRAMS, 'dz_ros.__main__', 'dz_ros.cli.run',
+           'dz_ros.cli.bag.replay', 'dz_ros.cli.shadow', 'dz_ros.cli.operator',
+           'dz_ros.report.verdict', *(f'dz_ros.nodes.{name}_node' for name in (
+               'actuator', 'replay', 'operator', 'check', 'live', 'feed')))
+"""Modules that the server imports."""
 AT_START = ('LC_', 'LANG', 'PYTHON')
 """Environment variables, by their beginning, that Python reads when it starts; of them only
 PYTHONPATH can be had later."""
@@ -69,8 +70,8 @@ class Server:
         self._process.wait()
 
 
-class Program:
-    """A program the server started, used as a `subprocess.Popen` is."""
+class Program(forked.Forked):
+    """A program the server started: its parent, which alone can ask for its exit code."""
 
     def __init__(self, server, words, environment, folder):
         read, write = os.pipe()
@@ -85,21 +86,6 @@ class Program:
         if self.returncode is None:
             self.returncode = self._server.poll(self.pid)
         return self.returncode
-
-    def wait(self, timeout=None):
-        waited = threading.Event()
-        for _ in range(max(int((timeout or 1e9) / 0.02), 1)):
-            if self.poll() is not None:
-                return self.returncode
-            waited.wait(0.02)
-        raise subprocess.TimeoutExpired(str(self.pid), timeout)
-
-    def send_signal(self, number):
-        if self.poll() is None:
-            os.kill(self.pid, number)
-
-    def kill(self):
-        self.send_signal(signal.SIGKILL)
 
 
 def can_start(words, given):
@@ -142,18 +128,17 @@ def serve(connection):
 def run(request, output):
     """Run a program in this process, a copy, and end it."""
     from dz_ros.__main__ import main
-    from dz_ros.cli.forked import detach, leave, name_process
     from dz_ros.nodes.main import run_node
 
     code = 1
     try:
-        detach(request['environment'], (), output)
+        forked.detach(request['environment'], (), output)
         os.chdir(request['folder'])
         sys.path[:0] = [place for place in os.environ.get('PYTHONPATH', '').split(os.pathsep)
                         if place and place not in sys.path]
         _, _, module, *words = request['words']
         sys.argv = [sys.modules[module].__file__, *words]
-        name_process(words[0], request['words'][2:])
+        forked.name_process(words[0], request['words'][2:])
         if module == 'dz_ros':
             sys.argv[0] = sys.modules['dz_ros.__main__'].__file__
             code = main()
@@ -168,7 +153,7 @@ def run(request, output):
         for thread in threading.enumerate():
             if thread is not threading.current_thread() and not thread.daemon:
                 thread.join()
-        leave(code)
+        forked.leave(code)
 
 
 if __name__ == '__main__':

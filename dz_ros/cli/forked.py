@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes as copies of a program that has imported what they need (Linux).
 
-Python, NumPy, rclpy and this package take a second of a small machine to import, three quarters of
-a node's start. Where a verb starts several nodes, it imports them once and forks; each node is a
-process of its own all the same, with its own session, environment, descriptors and name.
+Most of a node's start are imports: Python, NumPy, rclpy and this package. Where a verb starts
+several nodes, it imports them once and forks; each node is a process of its own all the same, with
+its own session, environment, descriptors and name (`benchmarks/starting.py`).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def allow(words: Sequence[str]) -> None:
 
 
 def possible() -> bool:
-    """Return whether this process may be copied now: ``dz`` on Linux while it has one thread."""
+    """Return whether this process may be copied now: on Linux, allowed, with one thread."""
     return bool(_ours) and sys.platform == 'linux' and threading.active_count() == 1
 
 

@@ -70,7 +70,7 @@ def start_node(name: str, arguments: Sequence[str], inherited: Sequence[int] = (
     """
     arguments, given, environment = _prepared(arguments)
     with _ends_held_back():
-        return subprocess.Popen([sys.executable, '-m', 'dz_ros.nodes.main', name, *arguments],
+        return subprocess.Popen([sys.executable, '-m', forked.PROGRAM, name, *arguments],
                                 env=environment, stdin=subprocess.DEVNULL,
                                 start_new_session=True, pass_fds=(*given, *inherited), **streams)
 

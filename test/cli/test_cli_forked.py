@@ -20,7 +20,7 @@ ROOT = str(Path(__file__).parents[2])
 def program(body, **settings):
     """Run a program that may be copied; `node` is what a copy runs, `start` starts one."""
     text = textwrap.dedent("""
-        import os, runpy, signal, subprocess, sys, threading, time
+        import os, runpy, signal, subprocess, sys, threading
         from dz_ros.cli import forked
         forked.allow(['run', 'servo'])
         def start(node, words=(), inherited=(), output=None, environment=os.environ):
@@ -54,7 +54,7 @@ def test_a_mistake_in_a_node_is_its_traceback_and_1_and_nothing_of_the_program_g
 
 def test_signals_and_waiting_are_those_of_a_process():
     done = program("""
-        node = start(lambda: time.sleep(3600))
+        node = start(signal.pause)
         try:
             node.wait(0.05)
         except subprocess.TimeoutExpired:
@@ -111,8 +111,10 @@ def test_with_a_second_thread_by_other_verbs_and_in_other_programs_nodes_are_not
         for words in ([], ['bag'], ['driver', 'commission'], ['driver', 'run'], ['bag', 'replay']):
             forked.allow(words)
             print(*words, forked.possible())
-        threading.Thread(target=time.sleep, args=(0.2,)).start()
+        end = threading.Event()
+        threading.Thread(target=end.wait).start()
         print(forked.possible())
+        end.set()
         """)
     assert (done.stdout.splitlines(), done.stderr) == ([
         'True', 'False', 'bag False', 'driver commission False', 'driver run False',

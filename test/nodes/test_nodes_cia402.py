@@ -391,8 +391,9 @@ def test_a_killed_drive_of_several_is_named_and_a_new_one_is_driven(processes, b
 
 def test_one_axis_is_identified_while_the_other_drives_stay_disabled(processes, drives, settings,
                                                                      tmp_path):
-    out = tmp_path / 'found'
+    out, tries = tmp_path / 'found', 0
     for _ in range(TRIES):
+        tries += 1
         found = processes(*DZ, 'driver', 'identify', 'cia402_axes', '--axis', 'shoulder',
                           *settings, '--travel', '0.6', '--speed', '1.0', '--effort', '3.0',
                           '--repeats', '4', '--ramp', '2', '--pause', '0.3', '--yes', '--out', out,
@@ -408,7 +409,10 @@ def test_one_axis_is_identified_while_the_other_drives_stay_disabled(processes, 
     for axis in ('base', 'elbow'):
         first, *later = [line for line in lines if line.startswith(f'{axis}: ')]
         assert first.startswith(f'{axis}: simulated drive')
-        assert set(later) == {f'{axis}: state: switch on disabled', f'{axis}: no commands'}
+        own = [f'{axis}: state: switch on disabled', f'{axis}: no commands']
+        assert later[:2] == own
+        assert tries > 1 or later == own
+        assert set(later) == set(own)
 
 
 def test_drives_with_one_node_id_are_refused_before_anything_starts(processes, settings):
