@@ -24,11 +24,11 @@ from dz_ros.cli import forked
 
 PROGRAMS = {'dz_ros', forked.PROGRAM}
 """Modules that ``-m`` may name."""
-MODULES = (*forked.COMMON, *PROGRAMS, 'dz_ros.__main__', 'dz_ros.cli.run',
+MODULES = (*forked.COMMON, 'dz_ros', 'dz_ros.__main__', 'dz_ros.cli.run',
            'dz_ros.cli.bag.replay', 'dz_ros.cli.shadow', 'dz_ros.cli.operator',
            'dz_ros.report.verdict', *(f'dz_ros.nodes.{name}_node' for name in (
                'actuator', 'replay', 'operator', 'check', 'live', 'feed')))
-"""Modules that the server imports."""
+"""Modules that the server imports; not that of a node's program, which `dz run` runs itself."""
 AT_START = ('LC_', 'LANG', 'PYTHON')
 """Environment variables, by their beginning, that Python reads when it starts; of them only
 PYTHONPATH can be had later."""
@@ -127,9 +127,6 @@ def serve(connection):
 
 def run(request, output):
     """Run a program in this process, a copy, and end it."""
-    from dz_ros.__main__ import main
-    from dz_ros.nodes.main import run_node
-
     code = 1
     try:
         forked.detach(request['environment'], (), output)
@@ -137,13 +134,15 @@ def run(request, output):
         sys.path[:0] = [place for place in os.environ.get('PYTHONPATH', '').split(os.pathsep)
                         if place and place not in sys.path]
         _, _, module, *words = request['words']
-        sys.argv = [sys.modules[module].__file__, *words]
         forked.name_process(words[0], request['words'][2:])
         if module == 'dz_ros':
-            sys.argv[0] = sys.modules['dz_ros.__main__'].__file__
-            code = main()
+            program = sys.modules['dz_ros.__main__']
+            sys.argv = [program.__file__, *words]
+            code = program.main()
         else:
-            code = run_node(sys.argv.pop(1))
+            program = importlib.import_module(module)
+            sys.argv = [program.__file__, *words[1:]]
+            code = program.run_node(words[0])
         gc.collect()
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
