@@ -487,7 +487,7 @@ def cia402_settings(processes, ros_domain):
     except can.CanError as error:
         pytest.skip(f'no multicast on this machine: {error}')
     found = (*PATIENT, 'driver.heartbeat_hold=2.0', 'driver.command_hold=2.0',
-             'driver.answer_limit=1.0', f'driver.bus_options=[port={port}, hop_limit=0]')
+             'driver.answer_limit=3.0', f'driver.bus_options=[port={port}, hop_limit=0]')
     processes('-m', 'dz_ros', 'driver', 'emulate', 'cia402', 'cia402', *(
         word for text in found for word in ('--set', text))
     ).wait_for_line('simulated drive, node 1 on udp_multicast')

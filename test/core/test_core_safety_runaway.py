@@ -61,6 +61,36 @@ def test_what_the_models_own_motion_explains_is_no_runaway():
     assert longest == 0.0
 
 
+@pytest.mark.parametrize(('creep', 'rate', 'period'), [(1.88e-4, 2e-6, 0.01), (2.4e-4, 3e-6, 0.01),
+                                                       (3.6e-4, 4e-6, 0.01), (3.6e-4, 4e-5, T)])
+def test_a_device_that_creeps_inside_its_dead_zone_is_no_runaway(creep, rate, period):
+    """Friction of the model would stop it at once; it creeps a little faster, that is no push.
+
+    As a motor with cogging did, held inside the dead-zone while its law's command grew the other
+    way from −1e−4 to −0.2.
+    """
+    plant = PLANTS.load('servo')
+    guard = RunawayGuard(plant(plant.Parameters(viscous_friction=0.42, coulomb_friction=0.99)),
+                         period)
+    longest = 0.0
+    for k in range(round(3.0 / period)):
+        t = k * period
+        v = -1e-4 * math.exp(min(t, 0.7) / 0.09) if t > 0.0 else 0.0
+        x = (0.28 + creep * t, creep + rate * t)
+        longest = max(longest, guard.sample(t, v, x))
+    assert v < -0.2
+    assert longest < SafetySettings().runaway_time
+
+
+def test_a_device_of_the_wrong_sign_at_its_terminal_speed_is_one():
+    """Viscous friction, which the model explains, keeps it from gaining speed for ever."""
+    guard, speed, longest = servo(), 0.0, 0.0
+    for k in range(round(30.0 / T)):
+        longest = max(longest, guard.sample(k * T, 3.0, (0.0, speed)))
+        speed += T * (-3.0 - (math.copysign(1.0, speed) if speed else 0.0) - 0.4 * speed)
+    assert longest > 5.0
+
+
 def test_a_gap_and_a_restart_begin_again():
     guard = servo()
     times = [k * T for k in range(60)] + [1.0 + k * T for k in range(60)]

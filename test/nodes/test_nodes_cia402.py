@@ -15,7 +15,6 @@ from dz_ros.drivers.cia402.emulator import FAULTS
 from dz_ros.drivers.cia402.states import DriveState, state_of
 from dz_ros.files.configurations import load_configuration
 from dz_ros.recording.reader import read_run
-from dz_ros.runs.axes import each_axis
 
 pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 can = pytest.importorskip('can', reason='python-can is not installed')
@@ -28,7 +27,7 @@ GROUP = '239.74.163.2'
 # not when.
 PATIENT = ('safety.error_limit=0.0', 'safety.state_hold=100', 'safety.command_hold=100',
            'safety.echo_limit=300', 'safety.reference_hold=300', 'safety.fault_after=5000',
-           'driver.heartbeat_hold=2.0', 'driver.command_hold=2.0', 'driver.answer_limit=1.0')
+           'driver.heartbeat_hold=2.0', 'driver.command_hold=2.0', 'driver.answer_limit=3.0')
 OUTSIDE, STATUS = Terms.labels(()).index('s_eps'), Terms.labels(()).index('status')
 NEAR = 0.1
 """Tracking: s is at most so far outside the layer [rad/s], 20 mrad of angle."""
@@ -114,23 +113,18 @@ def drive(processes, settings):
     return started
 
 
-def test_the_adaptive_loop_tracks_through_the_drive(processes, drive, settings, tmp_path):
+def test_the_adaptive_loop_tracks_through_the_drive(processes, drive, settings, watcher, tmp_path):
     path = tmp_path / 'run'
-    loop = processes(*DZ, 'run', 'cia402', *settings, *UNSHAPED, '--set', 'loop.duration=6.0',
+    loop = processes(*DZ, 'run', 'cia402', *settings, *UNSHAPED, '--set', 'loop.duration=0.0',
                      '--record', path, '--quiet')
-    assert loop.wait(180.0) == 0, loop.output
+    watcher.tracked(load_configuration('cia402').trajectory, 0.01)
+    assert loop.interrupt() == 0, loop.output
     data = read_run(path)
-    seq, t, x = (data.channels['state'][name] for name in ('seq', 'stamp', 'x0'))
+    seq, t = (data.channels['state'][name] for name in ('seq', 'stamp'))
     # A sample that is not measured in time has no state; on an idle machine each has one.
-    assert len(seq) > 600
+    assert len(seq) >= 600
     assert np.all(np.diff(seq) > 0)
     assert np.allclose(t / 0.005, np.round(t / 0.005))
-    assert t[-1] >= 6.0 - 1e-9
-    trajectory = load_configuration('cia402').trajectory
-    desired = np.array([trajectory(stamp)[0] for stamp in t])
-    late = t > 3.0
-    assert np.ptp(desired[late]) > 1.0          # it has gone from one angle to the other
-    assert np.median(np.abs(x - desired)[late]) < 0.02
     assert drive.interrupt() == 0
     assert 'commands, after the SYNC before them' in drive.output
 
@@ -248,7 +242,7 @@ def test_a_killed_drive_is_a_fault_and_a_new_one_is_driven(processes, drive, ope
     operator.wait_for_mode(actuator_node='fault')
     refused = operator.call('actuator_node/reset')
     assert not refused.success
-    assert 'no answer within 1 s: is the drive on' in refused.message
+    assert 'no answer within 3 s: is the drive on' in refused.message
     again = processes(*DZ, 'driver', 'emulate', 'cia402', 'cia402', *settings)
     again.wait_for_line('simulated drive')
     operator.start_again('actuator_node')
@@ -263,7 +257,7 @@ def test_the_conformance_kit_finds_nothing_wrong(kit, drive, settings):
 def test_without_a_drive_one_line_reports_it(processes, bus, settings):
     loop = processes(*DZ, 'run', 'cia402', *settings)
     assert loop.wait() == 2
-    assert 'node 1: no answer within 1 s: is the drive on' in loop.output
+    assert 'node 1: no answer within 3 s: is the drive on' in loop.output
     assert 'Traceback' not in loop.output
 
 
@@ -311,23 +305,18 @@ class Count:
         self._notifier.stop()
 
 
-def test_three_drives_track_in_one_loop_with_one_sync(processes, drives, bus, settings,
+def test_three_drives_track_in_one_loop_with_one_sync(processes, drives, bus, settings, watcher,
                                                       tmp_path):
     path, count = tmp_path / 'run', Count(bus)
     loop = processes(*DZ, 'run', 'cia402_axes', *settings, *UNSHAPED, '--set',
-                     'loop.duration=6.0', '--record', path, '--quiet')
-    assert loop.wait(180.0) == 0, loop.output
+                     'loop.duration=0.0', '--record', path, '--quiet')
+    machine = load_configuration('cia402_axes')
+    for row, name in enumerate(AXES):
+        watcher.tracked(machine.axis(name).trajectory, 0.01, row=row)
+    assert loop.interrupt() == 0, loop.output
     count.stop()
     data = read_run(path)
     assert data.axes == tuple(AXES)
-    machine = load_configuration('cia402_axes')
-    for name, run in each_axis(data).items():
-        t, x = (run.channels['state'][key] for key in ('stamp', 'x0'))
-        assert len(t) > 200         # of 1200, on a busy machine
-        desired = np.array([machine.axis(name).trajectory(stamp)[0] for stamp in t])
-        late = t > 3.0
-        assert np.ptp(desired[late]) > 0.5
-        assert np.median(np.abs(x - desired)[late]) < 0.02, name
     # One SYNC a period at most from one thread, however busy the machine; three would be thrice
     # as many. Each sample was measured at a SYNC not older than three periods, by every drive.
     measured = len(data.channels['state']['seq'])
@@ -381,7 +370,7 @@ def test_a_killed_drive_of_several_is_named_and_a_new_one_is_driven(processes, b
     refused = operator.call('actuator_node/reset')
     assert not refused.success
     assert 'axis elbow: ' in refused.message
-    assert 'no answer within 1 s: is the drive on' in refused.message
+    assert 'no answer within 3 s: is the drive on' in refused.message
     for axis in ('base', 'shoulder'):           # a reset that is refused moves no other axis
         assert DriveState.ENABLED not in bus.states(50, AXES[axis])
     start('elbow')

@@ -7,11 +7,14 @@ speed is the least since then:
     σ = sign v,  the same throughout                      command that is held
     σ x^(n−1) < 0,  |x^(n−1)| beyond its least            power of the wrong sign, speed gained
     σ (Δx^(n−1) + ∫ Σ a_i Y_i dt) ≤ −SHARE b ∫ |v| dt     beyond the model's own motion
+    σ Δx^(n−1) ≤ −GAIN b ∫ |v| dt                         by more than a creep
 
-The last line is what the model's own motion does not explain. A device whose command or
-measurement has the wrong sign does all three from the first command that moves it; a healthy one
-brakes, which is not the second, or is driven by its own dynamics, which is not the third. At order
-1, x^(n−1) is x itself. a_i and b are those of the configuration, which a controller may know; the
+The third line is what the model's own motion does not explain. A device whose command or
+measurement has the wrong sign does all four from the first command that moves it; a healthy one
+brakes, which is not the second, or is driven by its own dynamics, which is not the third. A device
+that creeps, as a motor on a slope of its cogging inside the dead-zone, is the fourth: the friction
+of the model would have stopped it, so that the third takes its creep for a push. At order 1,
+x^(n−1) is x itself. a_i and b are those of the configuration, which a controller may know; the
 dead-zone is not needed. One instance at each end of the loop.
 """
 
@@ -24,6 +27,8 @@ from dz_ros.core.plants.base import Plant
 
 SHARE = 0.5
 """Share of the acceleration b|v| that must act against the command."""
+GAIN = 0.02
+"""Share of the speed ∫ b|v| dt that must be gained against the command, friction or not."""
 LONGEST_GAP = 5.0
 """Samples further apart begin again [samples]."""
 REASON = 'runaway'
@@ -93,7 +98,9 @@ class RunawayGuard:
         if self._gained >= 0.0:
             self._begin_at(side, t, fast)
             return 0.0
-        return t - self._since if self._gained <= -SHARE * self._expected else 0.0
+        runs_away = (self._gained <= -SHARE * self._expected
+                     and abs(fast) - self._least >= GAIN * self._expected)
+        return t - self._since if runs_away else 0.0
 
     def _begin_at(self, side: float, t: float, fast: float) -> None:
         self._side, self._since, self._least = side, t, abs(fast)
