@@ -30,7 +30,7 @@ demo:  ## 20 s of the paper's example in real time as four ROS 2 processes, reco
 	$(bin)/dz run config/wang2004.yaml --duration 20 --record $(RUN)
 	$(bin)/dz report $(RUN)
 
-test:  ## all tests, by TEST_JOBS (3) workers, in half an hour on two cores
+test:  ## all tests, by TEST_JOBS (3) workers, in an hour on two cores
 	$(environment) ros test numba
 	$(bin)/python -m pytest -n $(TEST_JOBS) --dist loadgroup --durations=40 --durations-min=3 $(PYTEST_ARGS)
 

@@ -245,7 +245,9 @@ def loaded_run(name: str, duration: float, folder: Path, *settings: str) -> tupl
         SystemExit: It recorded nothing.
     """
     words = ['safety.fault_after=100000', f'safety.runaway_time={STRICT}', *settings]
-    busy = [subprocess.Popen([sys.executable, '-c', 'while True: pass']) for _ in range(BURNERS)]
+    # Each in a session of its own, as nodes are: Linux shares a processor out by sessions.
+    busy = [subprocess.Popen([sys.executable, '-c', 'while True: pass'], start_new_session=True)
+            for _ in range(BURNERS)]
     try:
         done = subprocess.run(
             [sys.executable, '-m', 'dz_ros', 'run', name, '--duration', str(duration), '--quiet',

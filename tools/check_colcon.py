@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build and test as colcon does in a ROS workspace, and look at what was installed.
 
-Tests marked `ros`, `live` or `slow` are left to `make test`: a second pass over the same code
-would only double the time.
+Tests marked `ros`, `live` or `slow`, and those that only compute, are left to `make test`: a second
+pass over the same code, which is the same however it was installed, would only double the time.
 """
 
 import configparser
@@ -18,7 +18,10 @@ NAME = 'dz_ros'
 EXECUTABLES = ('dz', 'dz_ros', 'plant_node', 'actuator_node', 'controller_node', 'trajectory_node',
                'recorder_node', 'replay_node')
 TIME_LIMIT = 1800
-PYTEST_ARGS = ('-m', 'not ros and not live and not slow',   # those are left to `make test`
+COMPUTING = ('core', 'identification', 'studies')
+"""Folders of tests that only compute."""
+PYTEST_ARGS = ('-m', 'not ros and not live and not slow',
+               *(f'--ignore=test/{folder}' for folder in COMPUTING),
                '--no-cov',          # colcon adds --cov, which takes twice as long
                '--hypothesis-profile=quick', '-n', '3', '--dist', 'loadgroup')
 
