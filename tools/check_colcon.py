@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Build and test as colcon does in a ROS workspace, and look at what was installed.
 
-Tests marked `ros`, `live` or `slow`, and those that only compute, are left to `make test`: a second
-pass over the same code, which is the same however it was installed, would only double the time.
+Tests marked `ros`, `live` or `slow`, and those that only compute, are left to `make test`: a
+second pass over the same code, however it was installed, would only double the time.
 """
 
 import configparser
