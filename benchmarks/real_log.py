@@ -33,6 +33,8 @@ from dz_ros.report.style import axis_label, BLUE, GREY, legend, new_figure, RED,
 
 IMAGES = Path(__file__).parents[1] / 'docs' / 'images'
 Array = NDArray[np.float64]
+BEGUN = 3.0
+"""A loop has begun after this time [s]: it starts with an observed velocity that is wrong."""
 PERIOD = 6.24
 """The trajectory of the log repeats after this time [s]."""
 
@@ -125,6 +127,12 @@ def halves(run: RunData, c: Configuration) -> None:
                   flush=True)
 
 
+def largest(t: Array, error: Array) -> tuple[str, ...]:
+    """Return the largest error as text, and that after the start."""
+    found = 1e3 * np.abs(error)
+    return (f'{found.max():.2f} mm,', f'{found[t > BEGUN].max():.2f} mm after {BEGUN:g} s;')
+
+
 def main(run_path: Path, found: Path, by_halves: bool) -> None:
     """Write the two pictures, or print the halves."""
     run, c = read_run(run_path), load_configuration(str(found / 'identified.yaml'), [])
@@ -137,7 +145,17 @@ def main(run_path: Path, found: Path, by_halves: bool) -> None:
     rest = path - x
     print(f'explained: {100.0 * (1.0 - np.mean(rest ** 2) / np.var(x)):.2f} %, RMS '
           f'{np.sqrt(np.mean(rest ** 2)):.2g}')
-    loop = simulate(c)
+    asked = run.channels['reference']
+    loops = {}
+    for delay in (1, 0):
+        loop = simulate(c.replace(**{'loop.delay': delay}))
+        error = loop.x[:, 0] - np.interp(loop.t, asked['stamp'], asked['xd0'])
+        loops[delay] = loop.t, error
+        print(f'proposed loop, delay {delay}: largest error', *largest(loop.t, error),
+              f'largest |v| {np.abs(loop.v).max():.2f}')
+    recorded = x - asked['xd0']
+    print('recorded loop: largest error', *largest(t, recorded),
+          f"largest |v| {np.abs(run.channels['command']['v']).max():.2f}")
     with styled():
         figure = new_figure(9.2, 5.6)
         upper, middle, lower = figure.subplots(3, 1, sharex=True)
@@ -146,14 +164,14 @@ def main(run_path: Path, found: Path, by_halves: bool) -> None:
         upper.set_ylabel(axis_label('x', 'm'))
         middle.plot(t, 1e3 * rest, color=BLUE, label='simulated − measured')
         middle.set_ylabel(axis_label('difference', 'mm'))
-        lower.plot(loop.t, 1e3 * (loop.x[:, 0] - loop.x_d[:, 0]), color=RED,
-                   label='proposed loop on the identified plant')
-        lower.plot(t, 1e3 * (x - run.channels['reference']['xd0']), color=GREY,
-                   label='the loop that was recorded')
+        lower.plot(t, 1e3 * recorded, color=GREY, label='the loop that was recorded')
+        for (delay, (at, error)), color in zip(loops.items(), (BLUE, RED), strict=True):
+            lower.plot(at, 1e3 * error, color=color,
+                       label=f'proposed loop on the identified plant, delay {delay}')
         lower.set_ylabel(axis_label('tracking error', 'mm'))
         lower.set_xlabel(axis_label('time', 's'))
-        for ax in (upper, middle, lower):
-            legend(ax, 2)
+        for ax, columns in ((upper, 2), (middle, 2), (lower, 3)):
+            legend(ax, columns)
         figure.savefig(IMAGES / 'real_log_prediction.png', dpi=110)
     shutil.copyfile(found / 'characteristic.png', IMAGES / 'real_log_characteristic.png')
 

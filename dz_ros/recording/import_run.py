@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """A run as the recorder writes it, from columns of another tool's file (ours).
 
-Sample k is at k T after the first, T = 1/loop.rate. At its own times a row belongs to the sample
-nearest to it and keeps its time; resampled, x and x_d are taken linearly between two rows, the
-command is held. Where two rows are further apart than 1.5 T, of the file's own T when resampled,
-the samples between are a gap: they are not made up.
+Each row is a sample at its own time, numbered by the rows' own period, which differs from
+1/loop.rate by no more than 2 %: rows that come early, late or in a burst are neighbours all the
+same. Resampled, sample k is at k T after the first, T = 1/loop.rate; x and x_d are taken linearly
+between two rows, the command is held. Where rows are missing, which two further apart than 1.5 of
+the file's own T show, the samples between are a gap: they are not made up.
 
 A velocity that is not given is observed from what is measured (`dz_ros.core.observers`), with the
 acceleration of the reference where there is one; `info['observed']` names it, and identification
@@ -30,6 +31,7 @@ from dz_ros.core.dataset import Channel, RunData
 from dz_ros.core.design.observation import observer_of
 from dz_ros.core.observers.base import Observer
 from dz_ros.core.records import Command, Reference, SEQ_LIMIT, State
+from dz_ros.core.trajectories.waypoints import Waypoints, WaypointsParameters
 from dz_ros.errors import ConfigurationError, RecordingError
 from dz_ros.recording.import_columns import Column
 from dz_ros.recording.import_map import KEY, Source
@@ -40,14 +42,31 @@ GAP = 1.5
 """Rows further apart than this number of periods have a gap between them."""
 OFF_RATE = 0.02
 """Largest share by which the rows' rate may differ from loop.rate."""
+AHEAD = 50
+"""Rows behind a late one that show whether it was late or rows are missing before it."""
+PULL = 0.1
+"""Share of a row's lateness by which the time of the next one is expected later."""
+RESTART_AFTER = 10.0
+"""Behind a gap of more periods than this the next row is on time, whenever it comes."""
+REPEATED_WITHIN = 0.25
+"""A row that is not late, this share of a period behind another one, repeats its sample."""
+SAME_TIME = 1e-5
+"""Two times that differ by less than this share of a period are the same one."""
+MOST_APART = 500.0
+"""Largest ratio of the rows' period and loop.rate's, either way, between which to resample."""
 LONGEST = 1e9
 """A run lasts less than this [s], as ``loop.duration`` has it."""
 MOST_RESAMPLED = 2**24
 """Samples that resampling makes at most, gaps included: a day at 190 Hz."""
 LATEST_START = 2**62
 """Log time of the first sample at most [ns since the epoch], so that the last one has one."""
-MAX_POINTS = 500
-"""Points of the reference that the run's configuration has as its trajectory, at most."""
+FIRST_POINTS, MAX_POINTS = 50, 1000
+"""Points of the reference that the run's configuration has as its trajectory, at first and at
+most."""
+NEAR = 1e-4
+"""Share of the reference's extent within which its trajectory is to follow it."""
+MAX_JUDGED = 20000
+"""Rows at which that is judged, at most."""
 SMOOTH, DEGREE = 5, 4
 """Half-width [samples] and degree of the polynomials that the reference's derivatives are of."""
 
@@ -132,20 +151,58 @@ def import_run(columns: Mapping[str, Column], sources: Mapping[str, Source], c: 
                                           "the law's terms", 'truth', 'round trips']))
     run = _as_run(seq, t, np.column_stack(x), signals.get('v'), reference, n, start_ns)
     configuration = {**c.to_flat(), 'loop.duration': float(t[-1])}
+    if 'observed' in info and 'driver.measured' in configuration:
+        # A loop around this device observes it as well: gains and rules are to count that in.
+        configuration['driver.measured'] = n - 1
     if reference is not None:
         configuration = {**{key: value for key, value in configuration.items()
                             if not key.startswith('trajectory.')},
-                         **_waypoints(t, reference[:, 0])}
+                         **_waypoints(t, reference)}
     return Imported(RunData(run, configuration, {**info, 'import': '; '.join(notes)}),
                     tuple(notes))
 
 
-def _waypoints(t: Array, x_d: Array) -> dict[str, Any]:
-    """Return the reference as the keys of a trajectory, a spline through points of it."""
-    rows = np.flatnonzero(np.isfinite(x_d))
-    rows = np.unique(np.append(rows[::max(1, -(-len(rows) // MAX_POINTS))], rows[-1:]))
-    return {'trajectory.kind': 'waypoints', 'trajectory.times': t[rows].tolist(),
-            'trajectory.positions': x_d[rows].tolist()} if len(rows) > 1 else {}
+def _waypoints(t: Array, reference: Array) -> dict[str, Any]:
+    """Return the reference as the keys of a trajectory, a spline through points of it.
+
+    Points are added where the spline is not near the reference. A log that ends in motion has one
+    more behind its end, so that the rest there comes after it.
+
+    Args:
+        t: Times [s], shape (N,).
+        reference: x_d … x_d^(n), shape (N, n + 1).
+    """
+    rows = np.flatnonzero(np.isfinite(reference).all(axis=1))
+    if len(rows) < 2:
+        return {}
+    x_d, order = reference[:, 0], reference.shape[1] - 1
+    extent = float(np.ptp(x_d[rows]))
+    judged = rows[::-(-len(rows) // MAX_JUDGED)]
+    stop = 0.1 * float(t[rows[-1]] - t[rows[0]])
+    beyond = 0.5 * stop * float(reference[rows[-1], 1])
+    evenly = np.linspace(0, len(rows) - 1, min(FIRST_POINTS, len(rows)))
+    chosen = np.unique(rows[evenly.astype(int)])
+    while True:
+        times, positions = t[chosen].tolist(), x_d[chosen].tolist()
+        if abs(beyond) > NEAR * extent:
+            times.append(times[-1] + stop)
+            positions.append(positions[-1] + beyond)
+        keys = {'trajectory.kind': 'waypoints', 'trajectory.times': times,
+                'trajectory.positions': positions}
+        room = MAX_POINTS - len(chosen)
+        curve = Waypoints(WaypointsParameters(times=tuple(times), positions=tuple(positions)),
+                          order)
+        error = np.abs([curve(item)[0] for item in t[judged].tolist()] - x_d[judged])
+        piece = np.searchsorted(chosen, judged, side='right') - 1
+        worst = np.zeros(len(chosen))
+        np.maximum.at(worst, piece, error)
+        low, high = np.searchsorted(rows, chosen), np.searchsorted(rows, [*chosen[1:], rows[-1]])
+        worst[high - low < 2] = 0.0
+        bad = np.argsort(-worst, kind='stable')[:max(room, 0)]
+        bad = bad[worst[bad] > NEAR * extent]
+        if not len(bad):
+            return keys
+        chosen = np.unique(np.append(chosen, rows[(low[bad] + high[bad]) // 2]))
 
 
 def _check_given(given: Mapping[str, Array], n: int, timed: bool) -> None:
@@ -214,16 +271,25 @@ def _grid(times: Array, c: Configuration, resample: bool,
                              f'{times[-1]:.6g} s: must be less than {longest:.4g} s at '
                              f'{c.loop.rate:g} Hz{", resampled" if resample else ""}; is the unit '
                              'of the time another, or one of the times wrong?')
-    own = float(np.median(np.diff(t)))
+    steps = np.diff(t)
+    own = float(np.median(steps))
+    # Without the steps over gaps, which may be many, and as many others on the other side.
+    regular = steps[np.abs(steps / own - 1.0) < GAP - 1.0]
+    own = float(np.median(regular)) if len(regular) else own
     if resample:
-        seq = np.arange(int(t[-1] / period + 1e-6) + 1, dtype=float)
+        if not 1.0 / MOST_APART < own / period < MOST_APART:
+            raise RecordingError(f'the rows are {own * 1e3:.4g} ms apart, loop.rate = '
+                                 f'{c.loop.rate:g} means {period * 1e3:.4g} ms: more than '
+                                 f'{MOST_APART:g} times as much or as little; is the unit of the '
+                                 'time another?')
+        seq = np.arange(int(t[-1] / period + SAME_TIME) + 1, dtype=float)
         notes.append(f'resampled from {own * 1e3:.4g} ms to {period * 1e3:.4g} ms')
         return seq, seq * period
     if abs(own / period - 1.0) > OFF_RATE:
         raise ConfigurationError('loop.rate', c.loop.rate, f'means {period * 1e3:.4g} ms, the '
                                  f'rows are {own * 1e3:.4g} ms apart: give --resample, or --set '
                                  f'loop.rate={1.0 / own:.6g}')
-    numbers = np.rint(t / period)
+    numbers = _numbers(t, own)
     seq, first = np.unique(numbers, return_index=True)
     if len(seq) < len(numbers):
         notes.append(f'{len(numbers) - len(seq)} rows share a sample with the row before: left '
@@ -231,9 +297,53 @@ def _grid(times: Array, c: Configuration, resample: bool,
     return seq, t[first]
 
 
+def _numbers(t: Array, period: float) -> Array:
+    """Return the number of the sample that each row is, shape (N,); of rows that repeat one, its.
+
+    A row's number is one more than that of the row before, and more only where it and all behind
+    it come later by whole periods: a row that is late alone, or a burst behind a stall, is not
+    evidence of rows that are missing. When the next row is expected follows the rows slowly, so
+    that a rate known to a per mille does not slip by a sample in a long log.
+
+    Args:
+        t: Times [s], each later than the one before, shape (N,).
+        period: Of the rows [s].
+    """
+    times: list[float] = t.tolist()
+    count, found, expected = len(times), [0.0], times[0]
+
+    def passed(row: int) -> int:
+        """Return the number of periods between the row before and a row."""
+        return round((times[row] - expected) / period)
+
+    for row in range(1, count):
+        step = passed(row)
+        if step > 1:
+            step = max(1, min(passed(later) - later + row
+                              for later in range(row, min(row + AHEAD, count))))
+        elif step < 1:
+            near = times[row] - times[row - 1] < REPEATED_WITHIN * period
+            if near and row + 1 < count and passed(row + 1) < 2:
+                found.append(found[-1])
+                continue
+            step = 1
+        found.append(found[-1] + step)
+        expected += step * period
+        late = times[row] - expected
+        if step > RESTART_AFTER:
+            expected = times[row]
+        elif abs(late) < 0.5 * period:
+            expected += PULL * late
+    return np.array(found)
+
+
 def _taken(column: tuple[Array, Array], t: Array, held: bool, resample: bool) -> Array:
     """Return a column at instants: held, between two rows, or of the nearest row."""
     times, values = column
+    within = np.clip(t, times[0], times[-1])
+    same = np.abs(within - t) < SAME_TIME * float(np.median(np.diff(times))) if (
+        len(times) > 1) else np.zeros(len(t), dtype=bool)
+    t = np.where(same, within, t)
     if held:
         rows = np.searchsorted(times, t + 1e-9, side='right') - 1
         return np.where(rows >= 0, values[np.maximum(rows, 0)], np.nan)

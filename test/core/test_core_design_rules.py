@@ -12,6 +12,7 @@ from dz_ros.core.deadzone import DeadZone
 from dz_ros.core.design import along_reference
 from dz_ros.core.design.along_reference import disturbance_along_reference, largest_derivatives
 from dz_ros.core.design.finding import ERROR, Finding, INFO, WARNING, worst
+from dz_ros.core.design.guard_noise import noise_in_s
 from dz_ros.core.design.robust_gain import least_robust_gain
 from dz_ros.core.design.rules import check
 from dz_ros.core.laws import LAWS
@@ -88,7 +89,7 @@ def test_numbers_of_the_example():
     ({'controller.law': 'robust'}, 'projection', INFO, 'holds'),
     ({'controller.law': 'robust', 'controller.b_bounds': [0.2, 2.0]}, 'projection', WARNING,
      'φ̂ may have to be in [0.4, 5.88]'),
-    ({'plant.noise': [1e-3, 1e-2]}, 'not covered', INFO, 'measurement noise (v shows 1.36 of it)'),
+    ({'plant.noise': [1e-3, 1e-2]}, 'not covered', INFO, 'measurement noise (v shows 1.37 of it)'),
     ({'plant.command_limit': 10.0}, 'not covered', INFO, 'saturation at 10'),
     ({'plant.command_limit': 10.0, 'controller.law': 'robust'}, 'saturation', WARNING,
      'knows no limit'),
@@ -99,6 +100,26 @@ def test_rules(values, rule, level, part):
     assert item.level == level
     assert part in item.words
     assert bool(item.change) == (level != INFO)
+
+
+def test_the_noise_of_v_is_that_of_s_times_the_gain():
+    values = {'plant__model': 'servo', 'controller__law': 'robust_eso', 'driver__measured': 1,
+              'plant__resolution': 1e-3}
+    c = configuration(**values)
+    item, = found('not covered', **values)
+    shown = float(item.words.partition('v shows ')[2].partition(' of it')[0])
+    design = c.law.design
+    assert shown == pytest.approx(
+        (design.gain + design.lead) * noise_in_s(c, 1, (1e-3,)), rel=5e-3)
+    assert shown > 0.1
+
+
+def test_a_limit_of_chatter_of_another_observer_is_worded_so():
+    for kind, part in (('levant', True), ('tracking', False)):
+        items = found('chatter', plant__model='servo', controller__law='robust_eso',
+                      driver__measured=1, driver__observer_kind=kind)
+        assert items
+        assert all(('were the velocity measured' in item.words) == part for item in items)
 
 
 DEVICE = {'driver.name': 'serial', 'controller.law': 'robust'}

@@ -148,6 +148,59 @@ def test_gaps_stay_gaps_and_rows_out_of_order_are_left_out():
         assert 'missing: reference' in reported
 
 
+def irregular():
+    """Return name → times of rows, and the number of the sample that each is."""
+    random, number = np.random.default_rng(3), np.arange(6000)
+    regular = PERIOD * number
+    some = np.sort(random.choice(6000, 4500, replace=False))
+    some[0] = 0
+    # Every half second a stall of nine rows, which then come at once.
+    stalled = regular.copy()
+    for first in range(50, 5900, 100):
+        stalled[first:first + 9] = stalled[first + 9] - 1e-4 * np.arange(9, 0, -1)
+    kept = np.r_[0:2000, 2300:6000]
+    return {
+        'rate 0.1 % lower': (regular * 1.001, number),
+        'rate 1 % lower': (regular * 1.01, number),
+        'rate 1 % higher': (regular * 0.99, number),
+        'jitter': (regular * 1.001 + random.normal(0.0, 0.4e-3, 6000), number),
+        'much jitter': (regular + random.uniform(-2e-3, 2e-3, 6000), number),
+        'one in four is missing': (regular[some] + random.normal(0.0, 0.2e-3, 4500), some),
+        'stalls': (stalled, number),
+        'a long gap': (regular[kept] + random.normal(0.0, 0.2e-3, len(kept)), kept),
+        'rows twice': (np.sort(np.r_[regular, regular[::50] + 1e-4]), number)}
+
+
+@pytest.mark.parametrize('name', irregular())
+def test_only_rows_that_are_missing_are_gaps(name):
+    """A log at another rate than loop.rate by a little slips by a sample again and again."""
+    t, number = irregular()[name]
+    done = import_run(*table(t, x0=np.sin(t), v=np.cos(t)), axis(), False, 0)
+    seq = done.run.channels['state']['seq']
+    assert len(seq) == len(number)
+    # How many are missing in a long gap follows from the rate, as well as jitter lets it be known.
+    assert seq == pytest.approx(number - number[0], abs=1.0 if name == 'a long gap' else 0.0)
+    assert any('gaps' in note for note in done.notes) == (number[-1] + 1 > len(number))
+    assert any('share a sample' in note for note in done.notes) == (name == 'rows twice')
+
+
+@pytest.mark.parametrize('factor', [1e-3, 1e3])
+def test_resampling_refuses_times_of_another_unit(factor):
+    t, x, v = motion()
+    with pytest.raises(RecordingError, match='is the unit of the time another'):
+        import_run(*table(t * factor, x0=x, v=v), axis(), True, 0)
+
+
+def test_resampling_has_the_last_row():
+    t = np.arange(2501) * 0.01
+    done = import_run(*table(t + 0.1, x0=np.sin(t), v=np.cos(t)), axis(), True, 0)
+    state = done.run.channels['state']
+    assert len(state['seq']) == 5001
+    assert np.isfinite(state['x0']).all()
+    assert state['x0'][-1] == pytest.approx(np.sin(t[-1]))
+    assert not any('no number' in note for note in done.notes)
+
+
 def test_resampling_interpolates_states_and_holds_commands():
     t = np.arange(200) * 0.01 + np.random.default_rng(0).uniform(-1e-3, 1e-3, 200)
     x, v = 2.0 * t, np.round(5.0 * t)

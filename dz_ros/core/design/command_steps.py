@@ -90,6 +90,10 @@ def check_command_steps(c: Configuration, step: float, measured: int) -> Iterato
     """Check the command's step against the layer; nothing where there is none."""
     bounds = limit_cycle_bound(c, step, measured) if step > 0.0 else None
     if bounds is None:
+        if step > 0.0 and c.law.layer_model() is not None:
+            yield Finding(INFO, COMMAND_STEPS, f'v is rounded to steps of {step:g}; with an '
+                          'observer that is not linear nothing is known of its limit cycle',
+                          {'step': step})
         return
     *states, s = bounds
     epsilon = 0.0 if c.law.design is None else c.law.design.epsilon
@@ -100,8 +104,8 @@ def check_command_steps(c: Configuration, step: float, measured: int) -> Iterato
                       'cycle', numbers)
         return
     unit = '' if c.plant.state_units[0] == '1' else f' {c.plant.state_units[0]}'
-    words = (f'v is rounded to steps of {step:g}: between two of them the loop moves in a limit '
-             f'cycle of at most |x̃1| <= {states[0]:.3g}{unit}, |s| <= {s:.3g}')
+    words = (f'v is rounded to steps of {step:g}: a limit cycle between two of them adds at '
+             f'most |x̃1| <= {states[0]:.3g}{unit}, |s| <= {s:.3g}')
     if epsilon > 0.0 and s > epsilon:
         yield Finding(WARNING, COMMAND_STEPS, f'{words}, beyond ε = {epsilon:.3g}', numbers,
                       f'a command in steps of {step * epsilon / s:.2g}, or a wider layer')

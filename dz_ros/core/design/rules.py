@@ -14,6 +14,7 @@ or is for some plant within the bounds. Theory: mathematics.md §5, §12.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 import math
 from typing import Any
 
@@ -23,7 +24,7 @@ from dz_ros.core.design.assumptions import check_assumptions, check_projection
 from dz_ros.core.design.boundary_layer import chatter_limit
 from dz_ros.core.design.command_steps import check_command_steps
 from dz_ros.core.design.finding import ERROR, Finding, INFO, WARNING
-from dz_ros.core.design.guard_noise import check_guard
+from dz_ros.core.design.guard_noise import check_guard, noise_in_s
 from dz_ros.core.design.linear_loop import (
     largest_beta,
     largest_gain,
@@ -34,7 +35,6 @@ from dz_ros.core.design.observation import (
     check_observer,
     linear_observer,
     measured_steps,
-    state_noise,
 )
 from dz_ros.core.design.robust_gain import RobustGain
 from dz_ros.core.laws.base import Design, Law
@@ -77,13 +77,16 @@ def check(configuration: Configuration, disturbance: float | None = None,
                  *check_command_steps(c, getattr(driver, 'command_resolution', 0.0),
                                       driver.measured),
                  *_stability(c, design, stability_limit, lost),
-                 *_uncovered(c, design, state_noise(c, measured_steps(driver))[-1])]
+                 *_uncovered(c, design, noise_in_s(c, driver.measured, measured_steps(driver)))]
     return tuple(findings)
 
 
 def _layer(c: Configuration, design: Design, driver: Any, complaints: bool) -> Iterator[Finding]:
     """Chatter, observer and guard."""
-    yield from _chatter(c, design, complaints, linear_observer(c, driver.measured))
+    unknown = driver.measured < c.plant.order and linear_observer(c, driver.measured) is None
+    for item in _chatter(c, design, complaints, linear_observer(c, driver.measured)):
+        yield replace(item, words=f'{item.words}; were the velocity measured: with the observer, '
+                      'which is not linear, it begins earlier') if unknown else item
     yield from check_observer(c, driver.measured, measured_steps(driver))
     yield from check_guard(c, driver.measured, measured_steps(driver))
 
@@ -269,13 +272,15 @@ def _stability(c: Configuration, design: Design, limit: float | None,
                   f'is lost{refused} above λ = {limit:.3g}', numbers, change)
 
 
-def _uncovered(c: Configuration, design: Design, sigma: float) -> Iterator[Finding]:
-    """Return what the theorem does not cover; sigma: of the measured x^(n−1)."""
+def _uncovered(c: Configuration, design: Design, sigma: float | None) -> Iterator[Finding]:
+    """Return what the theorem does not cover; sigma: σ_s, None = not known."""
     limit = c.plant_settings.command_limit
     gaps = ['sampling and loop delay']
-    if any(c.noise) or sigma > 0.0:
+    if sigma:
         gaps.append('measurement noise (v shows '
                     f'{(design.gain + design.lead) * sigma:.3g} of it)')
+    elif sigma is None or any(c.noise):
+        gaps.append('measurement noise')
     if limit > 0.0:
         gaps.append(f'saturation at {limit:g}')
     if c.plant_settings.backlash > 0.0:
