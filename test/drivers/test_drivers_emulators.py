@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Faults on a script, the bytes they touch, and the verb that starts emulators."""
 
+import os
 import signal
 
 from hypothesis import given
@@ -134,7 +135,9 @@ def test_a_port_keeps_its_name_through_being_unplugged(tmp_path):
     assert cable.read() == b''
     for _ in range(2):
         cable.plug()
-        with link.open('r+b', buffering=0) as port:
+        # Not as a terminal that controls this process: the hang-up would end it.
+        with open(link, 'r+b', buffering=0, opener=lambda name, flags: os.open(
+                name, flags | os.O_NOCTTY)) as port:
             port.write(b'up\0\n')
             assert cable.read() == b'up\0\n'
             cable.write(b'down')

@@ -117,7 +117,7 @@ def test_the_adaptive_loop_tracks_through_the_drive(processes, drive, settings, 
     path = tmp_path / 'run'
     loop = processes(*DZ, 'run', 'cia402', *settings, *UNSHAPED, '--set', 'loop.duration=0.0',
                      '--record', path, '--quiet')
-    watcher.tracked(load_configuration('cia402').trajectory, 0.01)
+    watcher.tracked(load_configuration('cia402').trajectory, 0.02)
     assert loop.interrupt() == 0, loop.output
     data = read_run(path)
     seq, t = (data.channels['state'][name] for name in ('seq', 'stamp'))
@@ -312,7 +312,7 @@ def test_three_drives_track_in_one_loop_with_one_sync(processes, drives, bus, se
                      'loop.duration=0.0', '--record', path, '--quiet')
     machine = load_configuration('cia402_axes')
     for row, name in enumerate(AXES):
-        watcher.tracked(machine.axis(name).trajectory, 0.01, row=row)
+        watcher.tracked(machine.axis(name).trajectory, 0.05, row=row)
     assert loop.interrupt() == 0, loop.output
     count.stop()
     data = read_run(path)

@@ -380,6 +380,7 @@ def test_both_joints_track_behind_a_controller_of_another_order_with_a_joint_of_
     watcher.wait(lambda: robot.held == [0.0, 0.0, 0.0])     # the safe command is what is held
 
 
+TRIES = 5
 NO_USE = {
     'part': ('whole', "joint 'joint2' is not among those of /joint_states: shoulder, joint1"),
     'nan': ('number', "the position of 'joint2' is nan")}
@@ -402,17 +403,22 @@ def test_what_one_joint_lacks_stops_both_and_so_does_a_controller_that_leaves_ac
         watcher.wait(watcher.recovered)
         watcher.wait(lambda: watcher.modes()['actuator_node'][0] == 'running')
         watcher.wait(lambda: all(robot.held))
-    watcher.running()
-    robot.do('deactivate')
-    watcher.wait_for_mode(actuator_node='fault')
-    reported = watcher.modes()['actuator_node'][1]
-    assert reported.startswith('axes upper, fore: the controller /effort_controller is ')
-    assert reported.endswith(': it takes no commands')
-    assert any(robot.held)              # what the forwarding controller leaves behind
-    robot.do('activate')                # it has forgotten every command
-    watcher.wait(lambda: robot.held == [0.0, 0.0])
-    watcher.wait(watcher.recovered)
-    watcher.running()
+    left_behind = []
+    for _ in range(TRIES):              # a stall may have had the safe command out just then
+        watcher.wait(lambda: all(robot.held))
+        robot.do('deactivate')
+        watcher.wait_for_mode(actuator_node='fault')
+        reported = watcher.modes()['actuator_node'][1]
+        assert reported.startswith('axes upper, fore: the controller /effort_controller is ')
+        assert reported.endswith(': it takes no commands')
+        left_behind = robot.held        # by the forwarding controller
+        robot.do('activate')            # it has forgotten every command
+        watcher.wait(lambda: robot.held == [0.0, 0.0])
+        watcher.wait(watcher.recovered)
+        watcher.running()
+        if any(left_behind):
+            break
+    assert any(left_behind)
     assert all(math.isfinite(number) for data in watcher.states for number in data)
     assert nodes['actuator_node'].interrupt() == 0
     watcher.wait(lambda: robot.held == [0.0, 0.0])
