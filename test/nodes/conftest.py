@@ -238,8 +238,8 @@ class Watcher(Operator):
         received = len(self.received['state'])
         self.wait(lambda: len(self.received['state']) > received + samples)
 
-    def tracked(self, trajectory, bound, samples=600, row=0, least_travel=1.0):
-        """Wait for samples in a row whose median error is below a bound, of an axis that moves.
+    def tracked(self, trajectory, bound, samples=600, row=0):
+        """Wait for samples in a row whose median error is below a bound, of one axis.
 
         A busy machine may hold any process for long, so only what lasts is judged.
         """
@@ -255,7 +255,7 @@ class Watcher(Operator):
                 self.recovered()
             errors = sorted(abs(data[2] - trajectory(data[1])[0]) for data in recent)
             travel = max(data[2] for data in recent) - min(data[2] for data in recent)
-            return errors[samples // 2] < bound and travel > least_travel
+            return errors[samples // 2] < bound and travel > 100.0 * bound
 
         self.running()
         self.wait(good, 2 * TIME_OUT)

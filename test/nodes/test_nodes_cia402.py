@@ -15,6 +15,7 @@ from dz_ros.drivers.cia402.emulator import FAULTS
 from dz_ros.drivers.cia402.states import DriveState, state_of
 from dz_ros.files.configurations import load_configuration
 from dz_ros.recording.reader import read_run
+from dz_ros.runs.axes import each_axis
 
 pytest.importorskip('rclpy', reason='rclpy is not installed: nodes cannot run')
 can = pytest.importorskip('can', reason='python-can is not installed')
@@ -113,18 +114,39 @@ def drive(processes, settings):
     return started
 
 
-def test_the_adaptive_loop_tracks_through_the_drive(processes, drive, settings, watcher, tmp_path):
-    path = tmp_path / 'run'
-    loop = processes(*DZ, 'run', 'cia402', *settings, *UNSHAPED, '--set', 'loop.duration=0.0',
-                     '--record', path, '--quiet')
-    watcher.tracked(load_configuration('cia402').trajectory, 0.02)
-    assert loop.interrupt() == 0, loop.output
-    data = read_run(path)
+def late_error(trajectory, data):
+    """Return the median error of x after 3 s."""
+    t, x = (data.channels['state'][name] for name in ('stamp', 'x0'))
+    late = t > 3.0
+    return np.median(np.abs(x[late] - [trajectory(stamp)[0] for stamp in t[late]]))
+
+
+def run_until(followed, processes, name, settings, folder, before=lambda: None):
+    """Run a loop of 6 s and return its recording; again where a busy machine spoilt it."""
+    for attempt in range(TRIES):
+        before()
+        path = folder / f'run{attempt}'
+        loop = processes(*DZ, 'run', name, *settings, *UNSHAPED, '--set', 'loop.duration=6.0',
+                         '--record', path, '--quiet')
+        assert loop.wait(180.0) == 0, loop.output
+        data = read_run(path)
+        if followed(data):
+            break
+    return data
+
+
+def test_the_adaptive_loop_tracks_through_the_drive(processes, drive, settings, tmp_path):
+    trajectory = load_configuration('cia402').trajectory
+    data = run_until(lambda data: late_error(trajectory, data) < 0.02, processes, 'cia402',
+                     settings, tmp_path)
     seq, t = (data.channels['state'][name] for name in ('seq', 'stamp'))
     # A sample that is not measured in time has no state; on an idle machine each has one.
-    assert len(seq) >= 600
+    assert len(seq) > 600
     assert np.all(np.diff(seq) > 0)
     assert np.allclose(t / 0.005, np.round(t / 0.005))
+    assert t[-1] >= 6.0 - 1e-9
+    assert np.ptp([trajectory(stamp)[0] for stamp in t[t > 3.0]]) > 1.0     # to the other angle
+    assert late_error(trajectory, data) < 0.02
     assert drive.interrupt() == 0
     assert 'commands, after the SYNC before them' in drive.output
 
@@ -305,18 +327,24 @@ class Count:
         self._notifier.stop()
 
 
-def test_three_drives_track_in_one_loop_with_one_sync(processes, drives, bus, settings, watcher,
+def test_three_drives_track_in_one_loop_with_one_sync(processes, drives, bus, settings,
                                                       tmp_path):
-    path, count = tmp_path / 'run', Count(bus)
-    loop = processes(*DZ, 'run', 'cia402_axes', *settings, *UNSHAPED, '--set',
-                     'loop.duration=0.0', '--record', path, '--quiet')
-    machine = load_configuration('cia402_axes')
-    for row, name in enumerate(AXES):
-        watcher.tracked(machine.axis(name).trajectory, 0.05, row=row)
-    assert loop.interrupt() == 0, loop.output
-    count.stop()
-    data = read_run(path)
+    machine, counts = load_configuration('cia402_axes'), []
+
+    def followed(data):
+        counts[-1].stop()
+        return all(late_error(machine.axis(name).trajectory, run) < 0.02
+                   for name, run in each_axis(data).items())
+
+    data = run_until(followed, processes, 'cia402_axes', settings, tmp_path,
+                     lambda: counts.append(Count(bus)))
+    count = counts[-1]
     assert data.axes == tuple(AXES)
+    for name, run in each_axis(data).items():
+        trajectory, t = machine.axis(name).trajectory, run.channels['state']['stamp']
+        assert len(t) > 200         # of 1200, on a busy machine
+        assert np.ptp([trajectory(stamp)[0] for stamp in t[t > 3.0]]) > 0.5
+        assert late_error(trajectory, run) < 0.02, name
     # One SYNC a period at most from one thread, however busy the machine; three would be thrice
     # as many. Each sample was measured at a SYNC not older than three periods, by every drive.
     measured = len(data.channels['state']['seq'])

@@ -83,8 +83,9 @@ def check(configuration: Configuration, disturbance: float | None = None,
 
 def _layer(c: Configuration, design: Design, driver: Any, complaints: bool) -> Iterator[Finding]:
     """Chatter, observer and guard."""
-    unknown = driver.measured < c.plant.order and linear_observer(c, driver.measured) is None
-    for item in _chatter(c, design, complaints, linear_observer(c, driver.measured)):
+    observer = linear_observer(c, driver.measured)
+    unknown = driver.measured < c.plant.order and observer is None
+    for item in _chatter(c, design, complaints, observer):
         yield replace(item, words=f'{item.words}; were the velocity measured: with the observer, '
                       'which is not linear, it begins earlier') if unknown else item
     yield from check_observer(c, driver.measured, measured_steps(driver))
