@@ -35,6 +35,7 @@ from dz_ros.core.trajectories.waypoints import Waypoints, WaypointsParameters
 from dz_ros.errors import ConfigurationError, RecordingError
 from dz_ros.recording.import_columns import Column
 from dz_ros.recording.import_map import KEY, Source
+from dz_ros.recording.row_numbers import row_numbers
 
 Array = NDArray[np.float64]
 
@@ -42,14 +43,6 @@ GAP = 1.5
 """Rows further apart than this number of periods have a gap between them."""
 OFF_RATE = 0.02
 """Largest share by which the rows' rate may differ from loop.rate."""
-AHEAD = 50
-"""Rows behind a late one that show whether it was late or rows are missing before it."""
-PULL = 0.1
-"""Share of a row's lateness by which the time of the next one is expected later."""
-RESTART_AFTER = 10.0
-"""Behind a gap of more periods than this the next row is on time, whenever it comes."""
-REPEATED_WITHIN = 0.25
-"""A row that is not late, this share of a period behind another one, repeats its sample."""
 SAME_TIME = 1e-5
 """Two times that differ by less than this share of a period are the same one."""
 MOST_APART = 500.0
@@ -289,52 +282,12 @@ def _grid(times: Array, c: Configuration, resample: bool,
         raise ConfigurationError('loop.rate', c.loop.rate, f'means {period * 1e3:.4g} ms, the '
                                  f'rows are {own * 1e3:.4g} ms apart: give --resample, or --set '
                                  f'loop.rate={1.0 / own:.6g}')
-    numbers = _numbers(t, own)
+    numbers = row_numbers(t, own)
     seq, first = np.unique(numbers, return_index=True)
     if len(seq) < len(numbers):
         notes.append(f'{len(numbers) - len(seq)} rows share a sample with the row before: left '
                      'out')
     return seq, t[first]
-
-
-def _numbers(t: Array, period: float) -> Array:
-    """Return the number of the sample that each row is, shape (N,); of rows that repeat one, its.
-
-    A row's number is one more than that of the row before, and more only where it and all behind
-    it come later by whole periods: a row that is late alone, or a burst behind a stall, is not
-    evidence of rows that are missing. When the next row is expected follows the rows slowly, so
-    that a rate known to a per mille does not slip by a sample in a long log.
-
-    Args:
-        t: Times [s], each later than the one before, shape (N,).
-        period: Of the rows [s].
-    """
-    times: list[float] = t.tolist()
-    count, found, expected = len(times), [0.0], times[0]
-
-    def passed(row: int) -> int:
-        """Return the number of periods between the row before and a row."""
-        return round((times[row] - expected) / period)
-
-    for row in range(1, count):
-        step = passed(row)
-        if step > 1:
-            step = max(1, min(passed(later) - later + row
-                              for later in range(row, min(row + AHEAD, count))))
-        elif step < 1:
-            near = times[row] - times[row - 1] < REPEATED_WITHIN * period
-            if near and row + 1 < count and passed(row + 1) < 2:
-                found.append(found[-1])
-                continue
-            step = 1
-        found.append(found[-1] + step)
-        expected += step * period
-        late = times[row] - expected
-        if step > RESTART_AFTER:
-            expected = times[row]
-        elif abs(late) < 0.5 * period:
-            expected += PULL * late
-    return np.array(found)
 
 
 def _taken(column: tuple[Array, Array], t: Array, held: bool, resample: bool) -> Array:
