@@ -61,6 +61,8 @@ GROUPS: dict[str, dict[tuple[str, ...], Verb]] = {
                                  'runs/a runs/b'),
         ('bag', 'whatif'): Verb('bag.whatif', 'run a recorded loop again with something changed',
                                 'runs/a --set controller.epsilon=0.01'),
+        ('bag', 'predict'): Verb('bag.predict', "simulate a plant by a run's commands alone: what "
+                                 'it explains', 'runs/b --config identified/identified.yaml'),
         ('bag', 'audit'): Verb('bag.audit', 'recompute a run and compare it bit for bit',
                                'runs/a'),
         ('bag', 'replay'): Verb('bag.replay', 'publish a run again, or feed it to a controller',

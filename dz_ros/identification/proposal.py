@@ -93,9 +93,11 @@ def propose(c: Configuration, found: Identified,
     if 'k_star' not in {item.name for item in fields(type(c.law.gains))}:
         keys['controller.law'] = LAW
         notes.append(f'{c.law.name} has no k* to choose: {LAW} takes its place')
-    if found.delay > 0 and c.loop.delay == 0:
-        notes.append(f'commands act {found.delay} samples late: a loop through topics adds up to '
-                     'one; set controller.design_delay accordingly')
+    if found.delay > c.loop.delay:
+        keys['loop.delay'] = found.delay
+        notes.append(f'commands act {found.delay} samples late: simulated and tuned with '
+                     f'loop.delay = {found.delay}, and with one more as a loop through topics '
+                     'may add')
     kept = {key: value for key, value in c.to_flat().items() if not (
         'controller.law' in keys and key.startswith('controller.') and key not in keys)}
     known = Configuration.from_flat({**kept, **keys})

@@ -261,7 +261,7 @@ def check_length(samples: Samples) -> None:
         span = float(samples.seq[-1] - samples.seq[0]) * samples.period
         raise RecordingError(f'the run is too short: {span:.3g} s, at least '
                              f'{LEAST_REPEATS * PART:g} s are needed to see whether the dead-zone '
-                             'drifts')
+                             'drifts; dz bag whatif --fit takes less and gives no bounds')
 
 
 def _measured(run: RunData, c: Configuration) -> int:

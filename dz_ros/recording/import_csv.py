@@ -2,7 +2,9 @@
 """Columns of numbers out of a CSV file of another tool.
 
 Its columns share its rows; the time is a column of the file. The first line names them; separated
-by comma, semicolon or tab.
+by comma, semicolon or tab. A second line in which no cell is a number, such as one of units, is
+passed over. Where the comma separates no columns it may be that of decimals. Times may be dates in
+ISO 8601, UTC where they state no zone.
 """
 
 from __future__ import annotations
@@ -12,7 +14,11 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 import csv
+from datetime import datetime, timedelta, timezone
+from functools import partial
+import math
 from pathlib import Path
+import re
 from typing import TextIO
 
 import numpy as np
@@ -25,6 +31,9 @@ LARGEST_FILE = 2**30
 """Bytes of a CSV file at most."""
 MOST_ROWS = 2**24
 """Rows of a CSV file at most, a day at 190 Hz."""
+_DATE = re.compile(r'\d{4}-\d\d-\d\d[T ]\d\d:')
+_COMMA = re.compile(r'[+-]?\d*,\d+(?:[eE][+-]?\d+)?$')
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 LONGEST_LINE = 2**20
 """Characters of a line of a CSV file at most."""
 
@@ -60,6 +69,8 @@ def read_table(path: Path, wanted: Sequence[str]) -> Columns:
     with _opened(path) as lines:
         names, delimiter, first = _names(lines, path)
         places = [names.index(name) for name in wanted]
+        as_number = partial(_as_number, decimal_comma=delimiter != ',')
+        units = False
         reader = csv.reader(lines, delimiter=delimiter)
         for cells in reader:
             if not any(cell.strip() for cell in cells) or cells[0].lstrip().startswith('#'):
@@ -70,7 +81,15 @@ def read_table(path: Path, wanted: Sequence[str]) -> Columns:
                                      f'names {len(names)} columns')
             if len(numbers) >= MOST_ROWS * len(places):
                 raise RecordingError(f'{path}: more than {MOST_ROWS} rows')
-            numbers.extend(_number(cells[place], path, line, names[place]) for place in places)
+            if not numbers and not units and all(as_number(cell) is None for cell in cells):
+                units = True
+                continue
+            for place in places:
+                value = as_number(cells[place])
+                if value is None:
+                    raise RecordingError(f'{path}: line {line}: {names[place]} is '
+                                         f'{cells[place].strip()[:40]!r}, not a number')
+                numbers.append(value)
     table = np.array(numbers).reshape(-1, len(places))
     return Columns(names, {name: Column(table[:, i]) for i, name in enumerate(wanted)})
 
@@ -128,12 +147,22 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _number(cell: str, path: Path, line: int, name: str) -> float:
+def _as_number(cell: str, decimal_comma: bool) -> float | None:
+    """Return the number of a cell, NaN for none, None where it is text."""
     text = cell.strip()
     if text.lower() in ('', 'nan', 'null', 'none', 'na', 'n/a', '-'):
-        return float('nan')
+        return math.nan
+    if decimal_comma and _COMMA.match(text):
+        text = text.replace(',', '.')
     try:
         return float(text)
     except ValueError:
-        raise RecordingError(f'{path}: line {line}: {name} is {text[:40]!r}, not a number'
-                             ) from None
+        pass
+    if not _DATE.match(text):
+        return None
+    try:
+        when = datetime.fromisoformat(text.replace('Z', '+00:00'))
+    except ValueError:
+        return None
+    when = when if when.tzinfo else when.replace(tzinfo=timezone.utc)
+    return (when - _EPOCH) / timedelta(seconds=1)

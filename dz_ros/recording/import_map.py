@@ -91,7 +91,7 @@ def parse_source(text: str, columns: Sequence[str] | None) -> Source:
     if quoted:
         column, rest = quoted[2], text[quoted.end():]
     elif columns is None:
-        found = re.match(r'(?:[/.~]*[A-Za-z_]\w*(?:\[\d+\])?)+', text)
+        found = re.match(r'(?:[/.~]*[A-Za-z_]\w*(?:\[[^\]]+\])?)+', text)
         column = found[0] if found else ''
         rest = text[len(column):]
     else:

@@ -4,6 +4,8 @@
 A definition (``ros2msg``) is the text of the message, then those of the types it uses, each after
 a line of = and ``MSG: package/Type``. The payload is CDR as in `dz_ros.recording.cdr`. A field is
 named as its path, ``position[0]`` or ``pose.pose.position.x``; ``header.stamp`` is its seconds.
+Where strings ``name[]`` are beside arrays, as in a JointState, their numbers have the names of
+their places as well, ``position[elbow]``, wherever that is in each message.
 
 The definition comes from the bag as well, so it is no more believed than the payload: each value
 takes at least a byte of the payload, and only the first `MOST_NUMBERS` are kept.
@@ -27,6 +29,8 @@ LARGEST_COUNT = 2**24
 """Elements of an array at most."""
 MOST_NUMBERS = 100_000
 """Numbers of a message that are returned, its first ones: not all of an image or a cloud."""
+NAMES = 'name'
+"""Field with the names of the places of the arrays beside it."""
 DEEPEST = 20
 """Types within types at most."""
 _HEADER = 'MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id'
@@ -90,6 +94,7 @@ class MessageType:
               depth: int) -> None:
         if depth > DEEPEST:
             raise MessageError(f'{self.name}: types within types without end')
+        names: list[str] = []
         if not self._types[kind]:
             reader.skip(1)      # as IDL gives a type without fields one
         for field in self._types[kind]:
@@ -104,9 +109,19 @@ class MessageType:
                 for i, value in enumerate(reader.numbers(PRIMITIVES[field.kind], count, kept)):
                     found[f'{name}[{i}]'] = float(value)
                 continue
+            if field.array and field.name == NAMES and field.kind == 'string':
+                names = [reader.string() for _ in range(count)]
+                continue
             for i in range(count):
                 self._value(reader, field.kind, f'{name}[{i}]' if field.array else name, found,
                             depth)
+        arrays = [field.name for field in self._types[kind]
+                  if field.array and field.kind in PRIMITIVES] if names else []
+        for array in arrays:
+            before = f'{path}.{array}' if path else array
+            for i, own in enumerate(names[:MOST_NUMBERS]):
+                if f'{before}[{i}]' in found:
+                    found.setdefault(f'{before}[{own}]', found[f'{before}[{i}]'])
 
     def _value(self, reader: _Reader, kind: str, name: str, found: dict[str, float],
                depth: int) -> None:
@@ -152,6 +167,17 @@ class _Reader:
     def number(self, code: str) -> Any:
         """Return one."""
         return self.numbers(code, 1, 1)[0]
+
+    def string(self) -> str:
+        """Return a string without the 0 at its end.
+
+        Raises:
+            IndexError: The payload ends before.
+        """
+        size = self.number('I')
+        begin = self._place
+        self.skip(size)
+        return bytes(self._body[begin:self._place]).rstrip(b'\0').decode(errors='replace')
 
     def skip(self, count: int) -> None:
         """Pass over bytes.

@@ -248,8 +248,9 @@ def _with_observer(c: Configuration, design: Design, delta: float,
     common = (period, known.b_bounds, known.m_bounds, k_star, c.law.gains.k_d, theta, middle,
               delay)
     gains = gains_by_rule(*common)
+    observed = driver.measured < c.plant.order
     noise = gains['layer_gain'] * state_noise(c, measured_steps(driver))[-1]
-    quiet = noise > NOISE * k_star
+    quiet = noise > NOISE * k_star and not observed     # nothing measures x^(n−1) then
     if quiet:
         gains = gains_by_rule(*common, quiet=True)
     gains |= {'k_star': k_star, 'theta_0': theta, 'phi_0': middle}
@@ -267,7 +268,7 @@ def _with_observer(c: Configuration, design: Design, delta: float,
         'observer_rate': '0.83 K0 b_hat', 'k_2': '2 K0/3',
         'phi_0': 'middle of 1/(b m)', 'theta_0': 'a_i of the model times the middle',
         'v_max': "the actuator's limit"}
-    observed, sets = driver.measured < c.plant.order, NO_SENSOR
+    sets = NO_SENSOR
     if observed:
         sigma = sensor_noise(c, measured_steps(driver))
         judged = sigma > 0.0 and linear_observer(c, driver.measured) is not None

@@ -26,6 +26,8 @@ def test_every_driver_is_listed_with_what_it_is(capsys):
         assert name in text
     assert "any order, units the plant's, simulated; dz_ros.drivers.mock:Mock" in text
     assert 'driver.script driver.measures driver.limit' in text
+    assert 'step of the command: its own, or driver.command_resolution' in text
+    assert 'step of the position: driver.resolution' in text
 
 
 def test_as_json_it_is_all_there(capsys):

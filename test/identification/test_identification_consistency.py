@@ -2,6 +2,7 @@
 """Runs that contradict themselves: each contradiction is named, and nothing is made from them."""
 
 from dataclasses import replace
+import re
 
 import numpy as np
 import pytest
@@ -59,6 +60,54 @@ def test_a_run_that_agrees_with_itself_is_not_refused(loop):
                  changed(run, X, lambda x: np.round(x, 2)), changed(run, X, lambda x: x + 0.1)):
         for item, truth in zip(found(c, good).bounds.values(), TRUTH, strict=True):
             assert item.low <= truth <= item.high
+
+
+@pytest.mark.parametrize('factor', [1.005, 1.019, 0.985])
+def test_a_velocity_that_is_a_little_wrong_widens_the_bounds_of_the_slopes(loop, factor):
+    c, run = loop
+    right, wrong = found(c, run), found(c, changed(run, V, lambda v: factor * v))
+    assert right.notes == ()
+    assert len(wrong.notes) == 1
+    share = float(re.search(r'x1 \[rad/s\] is (\S+) times the rate of x0', wrong.notes[0])[1])
+    assert share == pytest.approx(factor, abs=2e-3)
+    for name, truth in zip(wrong.bounds, TRUTH, strict=True):
+        assert wrong.bounds[name].low <= truth <= wrong.bounds[name].high
+    for name in ('b·m_r', 'b·m_l'):
+        assert wrong.bounds[name].width > right.bounds[name].width + 1.5 * abs(factor - 1.0)
+
+
+def test_steps_that_the_bounds_do_not_count_are_named(loop):
+    c, run = loop
+    c = c.replace(**{'driver.measured': 1})
+    assert found(c, rounded(run, 0.01)).notes == ()
+    notes = found(c, rounded(run, 0.03)).notes
+    assert len(notes) == 1
+    assert re.match(r'x0 \[rad\] is rounded to steps of 0\.03 and moves over \S+ only', notes[0])
+
+
+@pytest.mark.parametrize('overrides', [(), ('driver.measured=1',)], ids=['velocity', 'position'])
+@pytest.mark.parametrize('step', [0.0, 1e-4, 1e-3])
+def test_friction_and_dead_zone_are_one_where_no_command_separates_them(overrides, step):
+    """Driven all the time, 0.16 V of dead-zone would explain the motion as well as none."""
+    made = load_configuration('axis', ['loop.duration=24.0'])
+    c = load_configuration('axis', [*overrides, 'loop.duration=24.0'])
+    run = recorded(simulate(made), 10 ** 18)
+    if step:
+        run = changed(run, X, lambda x: np.round(x / step) * step)
+    result = found(c, run)
+    assert result.friction_counted
+    total = made.to_flat()['plant.coulomb_friction'] / made.to_flat()['plant.force_constant']
+    near = {'b_r': total, 'b_l': -total, 'b·m_r': made.plant.b, 'b·m_l': made.plant.b}
+    for name, truth in near.items():
+        item = result.bounds[name]
+        assert item.low - 1e-3 * abs(truth) <= truth <= item.high + 1e-3 * abs(truth)
+        assert item.width < 0.2 * abs(truth)
+
+
+def test_a_dead_zone_that_commands_cross_is_separate_from_friction(loop):
+    c, run = loop
+    assert not found(c, run).friction_counted
+    assert not found(c.replace(**{'driver.measured': 1}), run).friction_counted
 
 
 @pytest.mark.parametrize(('column', 'change', 'reported'), [

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dz_ros.core import schema
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import Channel, from_run, RunData
 from dz_ros.core.loop.offline import simulate
@@ -13,7 +14,10 @@ from dz_ros.core.plants import PLANTS
 from dz_ros.core.records import Command, State
 from dz_ros.errors import ConfigurationError, RecordingError
 from dz_ros.identification.estimation.least_squares import solve, Stack
-from dz_ros.identification.estimation.physical_parameters import parameters_with
+from dz_ros.identification.estimation.physical_parameters import (
+    parameters_with,
+    parameters_with_gain,
+)
 from dz_ros.identification.estimation.pipeline import fit_log
 from dz_ros.identification.estimation.stretches import Cutter
 from dz_ros.identification.samples import arrivals
@@ -167,3 +171,14 @@ def test_only_what_must_change_changes():
 def test_constants_no_model_parameters_give():
     with pytest.raises(ConfigurationError, match='no allowed parameters'):
         parameters_with(PLANTS.builtin['servo'](), (-0.6, 1.5))
+
+
+def test_another_input_gain_is_another_mass_or_another_force_constant():
+    plant = PLANTS.builtin['axis']()
+    ways = parameters_with_gain(plant, plant.a, 2.0 * plant.b)
+    assert len(ways) == 2
+    mass, force = sorted(ways, key=len, reverse=True)
+    before = schema.to_dict(plant.parameters)
+    assert mass['plant.mass'] == pytest.approx(0.5 * before['mass'])
+    assert mass['plant.viscous_friction'] == pytest.approx(0.5 * before['viscous_friction'])
+    assert force == {'plant.force_constant': pytest.approx(2.0 * before['force_constant'])}

@@ -62,7 +62,13 @@ def test_without_noise_and_drift_the_truth_is_found(flat, limits):
 def test_the_delay_is_found(delay):
     c, samples, margin = moved({**SERVO, 'loop.delay': delay, 'plant.noise': [1e-3, 1e-2]},
                                Limits(1.5, 1.0, 4.0))
-    assert identify(samples, c, margin).delay == delay
+    found = identify(samples, c, margin)
+    assert found.delay == delay
+    if delay == 1:
+        proposal, notes = propose(c.replace(**{'loop.delay': 0}), found)
+        assert proposal.after.loop.delay == delay
+        assert any('loop.delay = 1' in note for note in notes)
+        assert not any('loop.delay' in note for note in propose(c, found)[1])
 
 
 class PositionOnly(SimulatedActuator):

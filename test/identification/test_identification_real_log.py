@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from dz_ros.cli.main import main
-from dz_ros.core.loop.integration import make_advance
 from dz_ros.files.configurations import load_configuration
+from dz_ros.identification.plant_prediction import predict
 from dz_ros.recording.reader import read_run
 
 ROOT = Path(__file__).parents[2]
@@ -28,22 +28,8 @@ pytestmark = pytest.mark.skipif(not LOG.exists(), reason=f'{LOG.name} is not bes
 
 
 def explained(folder, run):
-    """Return the share of the position's variance that the identified plant simulates.
-
-    From the first position and speed on, with the commands of the run alone.
-    """
-    c = load_configuration(str(folder / 'identified.yaml'), [])
-    state, v = run.channels['state'], run.channels['command']['v']
-    x, period = state['x0'], c.loop.period
-    advance = make_advance(c.plant.regressors, c.plant.disturbance)
-    place = [float(x[0]), float(np.polyfit(np.arange(11) * period, x[:11], 2)[1])]
-    path, work = [], ([0.0] * c.plant.regressor_count, *([0.0] * 2 for _ in range(4)))
-    for k, command in enumerate(v.tolist()):
-        path.append(place[0])
-        advance(place, command, k * period, period / 4, 4, c.plant.constants,
-                c.dead_zone.constants, *work)
-    rest = np.array(path) - x
-    return 1.0 - float(np.mean(rest * rest) / np.var(x))
+    """Return the share of the position's variance that the identified plant predicts."""
+    return predict(run, load_configuration(str(folder / 'identified.yaml'), [])).explained[0]
 
 
 @pytest.fixture(scope='module')

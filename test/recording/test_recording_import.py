@@ -66,7 +66,8 @@ def test_a_map_names_each_signal_once():
 @pytest.mark.parametrize(('text', 'values'), [
     ('t,x\n0,1\n1,2\n', [1, 2]), ('t;x\r\n0;1,\r\n', None),
     ('# t\tx\n0\t1\n\n#no\n1\tnan\n', [1, np.nan]),
-    ('\ufefft, x\n0, \n1,NULL\n', [np.nan, np.nan])])
+    ('\ufefft, x\n0, \n1,NULL\n', [np.nan, np.nan]),
+    ('t;x\n0,005;1,5\n0,01;-,25e1\n', [1.5, -2.5]), ('t,x\ns,m\n0,1\n', [1])])
 def test_tables_are_read_whatever_separates_their_cells(tmp_path, text, values):
     path = tmp_path / 'a.csv'
     path.write_text(text, encoding='utf-8')
@@ -78,7 +79,19 @@ def test_tables_are_read_whatever_separates_their_cells(tmp_path, text, values):
     assert read_table(path, ['x']).chosen['x'].values == pytest.approx(values, nan_ok=True)
 
 
+def test_times_may_be_dates(tmp_path):
+    path = tmp_path / 'a.csv'
+    path.write_text('t,x\n2024-05-01T12:00:00.005Z,1\n2024-05-01 14:00:00.010+02:00,2\n'
+                    '2024-05-01T12:00:00.015,3\n', encoding='utf-8')
+    times = read_table(path, ['t']).chosen['t'].values
+    assert times - 1714564800.0 == pytest.approx([0.005, 0.010, 0.015], abs=1e-6)
+
+
 @pytest.mark.parametrize(('text', 'reported'), [
+    ('t,x\ns,m\nms,mm\n0,1\n', "line 3: x is 'mm', not a number"),
+    ('t,x\n0,1\ns,m\n', "line 3: x is 'm', not a number"),
+    ('t,x\n0,2024-13-01T12:00:00\n', "x is '2024-13-01T12:00:00', not a number"),
+    ('t;x\n0;1,234,567\n', "x is '1,234,567', not a number"),
     ('', 'is empty'), ('0,1\n1,2\n', 'must name the columns'),
     ('t,x\n0\n', 'line 2 has 1 cells'),
     ('t,x\n0,' + '1' * 200000, 'field larger than field limit'),
@@ -324,7 +337,7 @@ def joint_bag(path, storage, count=50):
 @pytest.mark.parametrize('storage', ['MCAP', 'SQLITE3'])
 def test_joint_states_of_a_bag(tmp_path, storage):
     position = joint_bag(tmp_path / 'bag', storage)
-    wanted = ['/arm/joints/position[1]', '/arm/joints/effort[1]']
+    wanted = ['/arm/joints/position[elbow]', '/arm/joints/effort[1]']
     found = read_bag(open_source(tmp_path / 'bag'), wanted)
     assert found.chosen[wanted[0]].values == pytest.approx(position)
     assert found.chosen[wanted[0]].times == pytest.approx(100 + np.arange(50) * PERIOD)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dz_ros.cli.driver.commission_state import Outcome, State, StepFailedError
 from dz_ros.cli.driver.identify_moves import move
-from dz_ros.cli.driver.identify_output import plant_lines, result_lines, write_bounds
+from dz_ros.cli.driver.identify_output import doubts, plant_lines, result_lines, write_bounds
 from dz_ros.cli.interrupt import prompt_end
 from dz_ros.cli.output import print_lines
 from dz_ros.errors import DriverError, RecordingError
@@ -26,6 +26,8 @@ from dz_ros.identification.experiment.pulses import Pulses, SignTest
 from dz_ros.identification.samples import Samples, to_run
 
 Moves = TypeVar('Moves', bound=Experiment)
+ALIKE = 0.05
+"""A step is the one that the driver states where it differs by this share at most."""
 
 
 def _moved(state: State, experiment: Moves, what: str) -> Samples:
@@ -80,7 +82,8 @@ def sensor_step(state: State) -> Outcome:
     pulses = Pulses(state.limits, state.answered.plan, c.plant.order, c.loop.period,
                     c.safety.safe_command, sides)
     samples = _moved(state, pulses, 'short pulses to both sides')
-    step = samples.resolution or resolution(samples.x[:, 0])
+    shown, stated = resolution(samples.x[:, 0]), samples.resolution
+    step = shown or stated
     missing = float(np.mean(~np.isfinite(samples.x[:, 0])))
     units = c.make_driver().state_units
     found = {'resolution': step, 'noise': list(pulses.noise), 'missing': missing,
@@ -91,10 +94,15 @@ def sensor_step(state: State) -> Outcome:
         late = f'commands act {delay} samples late'
     except RecordingError as error:
         late = f'the pulses do not show the delay ({error}), the identification will'
-    noise = ', '.join(f'{value:.2g} {unit}' for value, unit in
+    noise = ', '.join(f'{value:.2g} {units[0]}' for value, unit in
                       zip(pulses.noise[:samples.measured], units, strict=False))
-    return Outcome((f'one step of the position is {step:.4g} {units[0]}' if step else
-                    'the position shows no steps') + f'; noise at rest {noise}; {late}'
+    steps = f'one step of the position is {step:.4g} {units[0]}' if step else (
+        'the position shows no steps')
+    if stated and not shown:
+        steps += ', as the driver states'
+    elif stated and abs(shown / stated - 1.0) > ALIKE:
+        steps += f', the driver states {stated:.4g} {units[0]}'
+    return Outcome(steps + f'; noise at rest {noise}; {late}'
                    + (f'; {100.0 * missing:.2g} % of the samples without a measurement'
                       if missing else ''), found)
 
@@ -117,13 +125,14 @@ def identify_step(state: State) -> Outcome:
         except RecordingError as error:
             raise StepFailedError(str(error)) from error
         fitted, problem = refine_identified(found, samples, c)
-    print_lines(result_lines(found, c))
-    print_lines(plant_lines(fitted, c))
-    write_bounds(found, fitted, c, [v for _, v in experiment.breakaway], state.folder)
+    breakaway = [v for _, v in experiment.breakaway]
+    print_lines(result_lines(found, c, breakaway))
+    print_lines(plant_lines(fitted, c, found.friction_counted))
+    write_bounds(found, fitted, c, breakaway, state.folder)
     state.identified = found, fitted
     numbers = {name: item.value for name, item in found.bounds.items()}
-    return Outcome('identified: ' + ', '.join(f'{name} = {value:.4g}'
-                                              for name, value in numbers.items())
-                   + (f'; {problem}' if problem else ''),
+    return Outcome('; '.join(('identified: ' + ', '.join(
+        f'{name} = {value:.4g}' for name, value in numbers.items()),
+        *doubts(found, breakaway, c), *([problem] if problem else ()))),
                    {**numbers, 'delay': found.delay, 'residual': found.residual,
                     'position': last_position(samples.x[:, 0])})

@@ -45,7 +45,6 @@ from dz_ros.identification.estimation.pipeline import (
     identify_log,
     refine_identified,
 )
-from dz_ros.identification.estimation.static_friction import static_friction_note
 from dz_ros.identification.experiment.moves import Experiment
 from dz_ros.identification.experiment.session import NotLetGoError
 from dz_ros.identification.proposal import propose
@@ -96,15 +95,14 @@ def run(arguments: argparse.Namespace) -> int:
         if samples.filled:
             print_lines(f'{samples.filled} of {len(samples.seq)} samples were not measured: holes '
                         f'of up to {HOLE * 1e3:.0f} ms, filled from their neighbours')
-        print_lines(result_lines(found, c))
+        print_lines(result_lines(found, c, breakaway))
         with stage('refining the plant'):
             fitted, problem = refine_identified(found, samples, c)
-        print_lines(plant_lines(fitted, c))
+        print_lines(plant_lines(fitted, c, found.friction_counted))
         write_bounds(found, fitted, c, breakaway, out)
         with stage('proposing gains'):
             proposal, notes = propose(c, found, fitted)
-        sticks = static_friction_note(found, breakaway, c)
-        notes = (*notes, *(item for item in (problem, sticks) if item))
+        notes = (*notes, problem) if problem else notes
         findings = check(proposal.after)
         write_parameters(proposal.after, out / 'identified.yaml')
         print_lines(proposal_lines(proposal, findings, notes, out / 'identified.yaml'))

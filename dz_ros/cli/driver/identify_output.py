@@ -13,16 +13,27 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.finding import Finding, INFO
 from dz_ros.errors import ConfigurationError, MissingDependencyError
 from dz_ros.identification.characteristic_plot import draw
-from dz_ros.identification.estimation.physical_parameters import parameters_with
+from dz_ros.identification.estimation.physical_parameters import (
+    parameters_with,
+    parameters_with_gain,
+)
 from dz_ros.identification.estimation.pipeline import Identified
 from dz_ros.identification.estimation.prediction_error import Fit
+from dz_ros.identification.estimation.static_friction import static_friction_note
 from dz_ros.identification.proposal import known_bounds
 from dz_ros.runs.metrics import jsonable
 from dz_ros.studies.tune import Proposal
 
 
-def result_lines(found: Identified, c: Configuration) -> Iterator[str]:
-    """Yield the dead-zone and its bounds, a line each."""
+def doubts(found: Identified, breakaway: Sequence[float], c: Configuration) -> tuple[str, ...]:
+    """Return what the bounds do not hold, each in one line."""
+    sticks = static_friction_note(found, breakaway, c)
+    return (*found.notes, sticks) if sticks else found.notes
+
+
+def result_lines(found: Identified, c: Configuration,
+                 breakaway: Sequence[float]) -> Iterator[str]:
+    """Yield the dead-zone and its bounds, a line each, and what they do not hold."""
     count = len(found.times)
     yield (f'{count} repeats, {len(found.stretches)} stretches of motion, commands act '
            f'{found.delay} samples late')
@@ -39,10 +50,18 @@ def result_lines(found: Identified, c: Configuration) -> Iterator[str]:
     if found.stretches[0].y.shape[1] > len(words):
         words.append(f'share of the modelled disturbance = {found.disturbance:.4g}')
     yield '  ' + ', '.join(words) + f'; residual {found.residual:.3g}'
+    for note in doubts(found, breakaway, c):
+        yield f'  note: {note}'
 
 
-def plant_lines(fitted: Fit | None, c: Configuration) -> Iterator[str]:
-    """Yield the plant refined by prediction error."""
+def plant_lines(fitted: Fit | None, c: Configuration, counted: bool) -> Iterator[str]:
+    """Yield the plant refined by prediction error; without a dead-zone what its slope is part of.
+
+    Args:
+        fitted: The plant; None = there is none.
+        c: The model that it is of.
+        counted: Whether friction is counted in.
+    """
     if fitted is None:
         return
     yield f'plant {fitted.model} refined by prediction error over the motion, 95 % confidence:'
@@ -58,6 +77,14 @@ def plant_lines(fitted: Fit | None, c: Configuration) -> Iterator[str]:
                if value != before[name.partition('.')[2]]]
     if changed:
         yield f'  that is {", ".join(changed)}'
+    right, left = fitted['b·m_r'], fitted['b·m_l']
+    both = 0.5 * (right.value + left.value)
+    if not counted or abs(right.value - left.value) > right.half_width + left.half_width:
+        return
+    ways = [', '.join(f'{name.partition(".")[2]} = {value:.4g}' for name, value in keys.items())
+            for keys in parameters_with_gain(c.plant, fitted.a, both)]
+    if ways:
+        yield f'  were it without a dead-zone, of slope 1: {"; or ".join(ways)}'
 
 
 def write_bounds(found: Identified, fitted: Fit | None, c: Configuration,

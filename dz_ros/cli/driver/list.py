@@ -17,6 +17,8 @@ from dz_ros.drivers.hosted import error_text
 from dz_ros.errors import DzRosError
 
 WIDTH = 88
+STEPS = {'resolution': 'the position', 'command_resolution': 'the command'}
+"""Attribute of a driver, the step of a signal, and that signal."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
 def describe(name: str, found: Any) -> dict[str, Any]:
     """Return what is known of a driver, with what keeps it from loading."""
     row: dict[str, Any] = {'name': name, 'summary': '', 'order': None, 'units': '', 'from': '',
-                           'simulated': None, 'missing': [], 'error': '', 'parameters': []}
+                           'simulated': None, 'steps': [], 'missing': [], 'error': '',
+                           'parameters': []}
     if isinstance(found, DzRosError):
         row['error'] = str(found)
         return row
@@ -58,6 +61,7 @@ def _read(found: Any) -> dict[str, Any]:
     return {
         'summary': str(found.summary), 'order': int(found.order),
         'units': 'of its own' if own else "the plant's",
+        'steps': [key for key in STEPS if getattr(found, key) is not getattr(Driver, key)],
         'from': f'{found.__module__}:{found.__name__}', 'simulated': bool(found.lockstep),
         'missing': [module for module in found.requires if not is_there(module)],
         'parameters': [f'driver.{item.name}' for item in schema.fields(found.Parameters)]}
@@ -71,6 +75,9 @@ def _details(row: dict[str, Any]) -> Iterator[str]:
     order = 'any order' if row['order'] == 0 else f'order {row["order"]}'
     kind = ', simulated' if row['simulated'] else ''
     yield f'{order}, units {row["units"]}{kind}; {row["from"]}'
+    for key, words in STEPS.items():
+        yield f'step of {words}: ' + (f'its own, or driver.{key}' if key in row['steps'] else
+                                      f'driver.{key}')
     if row['parameters']:
         yield from textwrap.wrap(' '.join(row['parameters']), WIDTH)
     if row['missing']:

@@ -22,7 +22,8 @@ What that means, and what not:
 - *Drift* is what happened during the experiment, from repeat to repeat. Slower drift shows in
   part, what is faster than a repeat is averaged; it does not hold for a device that changes later.
 - An error that every repeat makes alike shows in no scatter: a wrong model of friction, a wrong
-  time base. The bounds are about the device only as far as the plant's model is.
+  time base. The bounds are about the device only as far as the plant's model is. A wrong factor
+  shows where a signal and its rate are measured; `consistency` finds it, the bounds count it.
 
 `noise` is the part of s that the measurement explains (the residual taken as white); what is left
 of s² is attributed to drift and to disturbances.
@@ -30,7 +31,7 @@ of s² is attributed to drift and to disturbances.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -78,6 +79,10 @@ class Bound:
     def width(self) -> float:
         """Distance of the bounds."""
         return self.high - self.low
+
+    def wider(self, share: float) -> Bound:
+        """Return the same for values that may be too large or too small by a share, < 1."""
+        return replace(self, low=self.low / (1.0 + share), high=self.high / (1.0 - share))
 
 
 def tolerance_factor(count: int, content: float = CONTENT,

@@ -8,16 +8,17 @@ exclude the truth without a sign of it, so these data are refused (ours). What i
     step between neighbouring values of a signal       rounding, against how far it moves
     x_i(t + W) − x_i(t)  with  α ∫ x_{i+1} dt + β W     α = 1: unit and sign; β = 0: offset;
                                                        what is left: lag, another signal
-    x^(n−1)  with  −Σ a_i ∫Y_i + κ ∫v                   κ > 0: sign of the command
 
-The second to last is a regression over windows of W that do not overlap; a deviation counts where
+The last is a regression over windows of W that do not overlap; a deviation counts where
 it exceeds both a share (`SCALE`, `OFFSET`) and `SIGMAS` standard errors, so that noise alone is no
-contradiction.
+contradiction. A smaller |α − 1| is a `Doubt`: no repeat differs by it, so the bounds of the slopes
+are made wider by it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 import math
 
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
 from dz_ros.errors import RecordingError
-from dz_ros.identification.estimation.stretches import Stack
+from dz_ros.identification.estimation.sensor import resolution
 from dz_ros.identification.samples import Samples, state_and_command
 
 Array = NDArray[np.float64]
@@ -40,11 +41,15 @@ LOST = 0.04
 """Largest share of samples that may be missing or no numbers."""
 COARSE = 0.03
 """Largest step between neighbouring values, as a share of how far the signal moves."""
-VISIBLE = 0.005
-"""Steps above this share are named where bounds cannot be had."""
+VISIBLE = 0.004
+"""Steps above this share are named, with the bounds or with why there are none."""
 SCALE, OFFSET, REST = 0.02, 0.002, 0.05
 """Largest |α − 1|, |β| as a share of the largest speed, and share of the motion left over."""
 SIGMAS = 4.0
+BY_CHANCE = 2.0
+"""Standard errors of α up to which it is taken for 1."""
+NAMED = 0.002
+"""Share by which a rate has to be wrong to be named."""
 LATEST = 0.25
 """Largest delay between a signal and its rate that is tried [s]."""
 UNITS = {60.0 / (2.0 * math.pi): 'rpm in place of rad/s', 180.0 / math.pi: 'degrees in place of '
@@ -53,11 +58,24 @@ UNITS = {60.0 / (2.0 * math.pi): 'rpm in place of rad/s', 180.0 / math.pi: 'degr
 """Factor → what is often behind it."""
 
 
-def check_samples(samples: Samples, c: Configuration) -> None:
-    """Check what was measured for contradictions.
+@dataclass(frozen=True)
+class Doubt:
+    """What samples that are used leave open, since every repeat has it alike.
+
+    Attributes:
+        scale: Share by which what was measured last may be too large or too small.
+        notes: The same in words, a line each.
+    """
+
+    scale: float = 0.0
+    notes: tuple[str, ...] = ()
+
+
+def check_samples(samples: Samples, c: Configuration) -> Doubt:
+    """Check what was measured for contradictions, and return the small ones.
 
     Raises:
-        RecordingError: There is one; the text names signal, size and a likely cause.
+        RecordingError: There is a large one; the text names signal, size and a likely cause.
     """
     names = _names(samples, c)
     x = samples.x[:, :samples.measured]
@@ -66,17 +84,27 @@ def check_samples(samples: Samples, c: Configuration) -> None:
         _check_steps(name, values[np.isfinite(values)], i,
                      i == samples.measured - 1)
     pieces = _pieces(samples)
+    scale, notes = 0.0, []
     for i, (slow, fast) in enumerate(pairwise(names)):
-        _check_rate(x[:, i], x[:, i + 1], pieces, samples.period, slow, fast)
+        factor = _check_rate(x[:, i], x[:, i + 1], pieces, samples.period, slow, fast)
+        scale += abs(factor - 1.0)
+        if abs(factor - 1.0) > NAMED:
+            notes.append(f'{fast} is {factor:.4g} times the rate of {slow}: the bounds of the '
+                         'slopes are wider by that')
+    coarse = rounding(samples, c)
+    if coarse:
+        notes.append(f'{coarse}: the bounds do not count what that hides')
+    return Doubt(scale, tuple(notes))
 
 
-def rounding_hint(samples: Samples, c: Configuration) -> str:
-    """Return that the last measured signal is rounded visibly, for the end of an error; or ''."""
-    name = _names(samples, c)[-1]
+def rounding(samples: Samples, c: Configuration) -> str:
+    """Return that the last measured signal is rounded visibly; '' where it is not."""
     values = samples.x[:, samples.measured - 1]
     step, moved = _rounding(values[np.isfinite(values)])
-    return (f'; {name} is rounded to steps of {step:.3g} and moves over {moved:.3g} only: record '
-            'it with more digits') if step > VISIBLE * moved else ''
+    if not step > VISIBLE * moved:
+        return ''
+    return (f'{_names(samples, c)[-1]} is rounded to steps of {step:.3g} and moves over '
+            f'{moved:.3g} only')
 
 
 def check_log(run: RunData, period: float) -> None:
@@ -105,33 +133,6 @@ def check_log(run: RunData, period: float) -> None:
         if not abs(between / period - 1.0) <= SCALE:
             raise RecordingError(f'the states are {between * 1e3:.4g} ms apart, loop.rate = '
                                  f'{1.0 / period:.6g} means {period * 1e3:.4g} ms')
-
-
-def check_command_sign(stack: Stack) -> None:
-    """Check that the device accelerates the way of the command.
-
-    Args:
-        stack: Stretches of motion.
-
-    Raises:
-        RecordingError: It is driven the other way.
-    """
-    columns = np.column_stack([-stack.y, stack.integral(stack.v[:, np.newaxis])])
-    scale = np.sqrt((columns * columns).sum(axis=0))
-    if not (scale > 0.0).all():
-        return
-    columns = columns / scale
-    gram = columns.T @ columns
-    if np.linalg.cond(gram) > 1e12:
-        return
-    inverse = np.linalg.inv(gram)
-    solution = inverse @ (columns.T @ stack.left)
-    rest = stack.left - columns @ solution
-    # Neighbouring samples of a stretch err alike: each stretch counts for a few.
-    error = math.sqrt(float(rest @ rest) / max(1, 2 * stack.count) * float(inverse[-1, -1]))
-    if solution[-1] < -SIGMAS * error:
-        raise RecordingError('the device accelerates against the command: command or state has '
-                             'the wrong sign')
 
 
 def _names(samples: Samples, c: Configuration) -> list[str]:
@@ -182,11 +183,8 @@ def _check_steps(name: str, values: Array, i: int, last: bool) -> None:
 
 def _rounding(values: Array) -> tuple[float, float]:
     """Return the step a signal of several values is rounded to, 0 = none, and its motion."""
-    levels = np.unique(values)
     moved = float(np.quantile(values, 0.99) - np.quantile(values, 0.01))
-    # Of a signal with noise no two values are alike; a rounded one has few, evenly spaced.
-    step = float(np.median(np.diff(levels))) if len(levels) < 0.5 * len(values) else 0.0
-    return step, moved or float(levels[-1] - levels[0])
+    return resolution(values), moved or float(np.ptp(values))
 
 
 def _pieces(samples: Samples) -> list[tuple[int, int]]:
@@ -198,17 +196,21 @@ def _pieces(samples: Samples) -> list[tuple[int, int]]:
 
 
 def _check_rate(slow: Array, fast: Array, pieces: Sequence[tuple[int, int]], period: float,
-                slow_name: str, fast_name: str) -> None:
-    """Compare the change of a signal with the integral of what is recorded as its rate."""
+                slow_name: str, fast_name: str) -> float:
+    """Compare the change of a signal with the integral of what is recorded as its rate.
+
+    Returns:
+        How many times too large the rate is; 1 where chance explains it or nothing shows.
+    """
     if len(pieces) < LEAST_WINDOWS:
-        return
+        return 1.0
     edges = np.array(pieces)
     change = slow[edges[:, 1]] - slow[edges[:, 0]]
     fits = {shift: _fit(change, integral, edges, period) for shift in (0, *_shifts(period))
             if (integral := _integral(fast, edges, shift, period)) is not None}
     found = fits[0]
     if found is None:
-        return
+        return 1.0
     alpha, beta, left, errors = found
     moved = float(np.sqrt(np.mean(change ** 2)))
     noise = math.sqrt(2.0 * _noise(slow) ** 2 + _noise(fast) ** 2 * WINDOW * period)
@@ -227,6 +229,7 @@ def _check_rate(slow: Array, fast: Array, pieces: Sequence[tuple[int, int]], per
     if abs(beta) > max(OFFSET * largest, SIGMAS * errors[1]):
         raise RecordingError(f'{fast_name} has an offset of {-beta / alpha:.3g} against the rate '
                              f'of {slow_name}')
+    return 1.0 / alpha if abs(alpha - 1.0) > BY_CHANCE * errors[0] else 1.0
 
 
 def _shifts(period: float) -> list[int]:

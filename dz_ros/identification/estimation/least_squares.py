@@ -115,6 +115,14 @@ def solve(stack: Stack, by_side: bool = False) -> Line:
     return min(lines, key=lambda line: line.residual)
 
 
+def residual_without_zone(stack: Stack) -> float:
+    """Return the RMS that a plant without a dead-zone leaves, friction and two slopes its own."""
+    columns = np.column_stack([-stack.y, stack.integral(hinges(stack.v, np.zeros(2))[:, 2:])])
+    rest = stack.left - columns @ np.linalg.lstsq(columns, stack.left)[0]
+    free = max(1, len(rest) - columns.shape[1] - stack.count)
+    return math.sqrt(float(rest @ rest) / free)
+
+
 def solve_over_time(stack: Stack, times: Array, nodes: Array, start: Line,
                     by_side: bool = False) -> Line:
     """Return the dead-zone over time.

@@ -54,6 +54,17 @@ def constant_term(plant: Plant) -> int | None:
     return found[0] if plant.order > 1 and len(found) == 1 else None
 
 
+def slope_at(x: Array, place: int, period: float) -> float:
+    """Return the slope at one of some samples, by a parabola through them.
+
+    Args:
+        x: Three or more, shape (K,).
+        place: Which of them.
+        period: T [s].
+    """
+    return float(np.polyfit((np.arange(len(x)) - place) * period, x, 2)[1])
+
+
 def refine_by_simulation(fitted: Fit, samples: Samples, c: Configuration, delay: int) -> Fit:
     """Return the plant with which simulations of long parts stay near the measurement.
 
@@ -78,9 +89,8 @@ def refine_by_simulation(fitted: Fit, samples: Samples, c: Configuration, delay:
              for rows in parts]
     predict = Prediction(samples, whole, c, delay, 1.0, np.zeros((len(whole), COUNT)))
     if samples.measured < c.plant.order:
-        times = np.arange(SLOPE + 1) * samples.period
         for start, x in zip(predict.starts, predict.measured, strict=True):
-            start[-1] = np.polyfit(times, x[:SLOPE + 1, -1], 2)[1]
+            start[-1] = slope_at(x[:SLOPE + 1, -1], 0, samples.period)
     lengths = [(rows[1] - rows[0] + 1) * samples.period for rows in parts]
 
     def parameters(q: Array) -> Array:

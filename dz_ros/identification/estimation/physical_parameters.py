@@ -9,7 +9,8 @@ model's other constants stay what they are.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+import math
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,8 @@ FAST = 1e6
 """A speed at which smoothed friction has its full size."""
 ROUNDING = 1e-9
 """Break points smaller than this share of those with friction counted in are rounding errors."""
+HALVINGS = 4
+"""How often a step is halved that leads out of the allowed parameters."""
 CLOSE = 1e-9
 """Relative difference at which constants count as reached."""
 
@@ -34,6 +37,45 @@ def parameters_with(plant: Plant, a: Sequence[float]) -> dict[str, float]:
 
     Raises:
         ConfigurationError: No allowed parameters give them.
+    """
+    found = next(_parameters(plant, a, plant.b, False), None)
+    if found is None:
+        raise ConfigurationError('plant.model', plant.name, 'no allowed parameters of this model '
+                                 'give ' + ', '.join(f'a{i + 1} = {value:.6g}'
+                                                     for i, value in enumerate(a)))
+    return found
+
+
+def parameters_with_gain(plant: Plant, a: Sequence[float], b: float) -> list[dict[str, float]]:
+    """Return the ways to another b: of all that act on b one changes, of the rest what a_i take.
+
+    Args:
+        plant: The model.
+        a: a_i, shape (r,).
+        b: The input gain to be reached.
+
+    Returns:
+        For each parameter that can do it what differs from `parameters_with`, by dotted key.
+
+    Raises:
+        ConfigurationError: No allowed parameters give the a_i with the b that is.
+    """
+    present = parameters_with(plant, a)
+    return [{key: value for key, value in found.items()
+             if not math.isclose(value, present[key], rel_tol=1e-9)}
+            for found in _parameters(plant, a, b, True)]
+
+
+def _parameters(plant: Plant, a: Sequence[float], b: float,
+                one: bool) -> Iterator[dict[str, float]]:
+    """Yield parameters, by dotted key, that give the constants.
+
+    Args:
+        plant: The model.
+        a: a_i, shape (r,).
+        b: The input gain.
+        one: Whether exactly one of those that act on more than a_i may change, each in turn; else
+            none of them and then, as a second way, all.
     """
     group = type(plant.parameters)
     kept = schema.to_dict(plant.parameters)
@@ -47,17 +89,23 @@ def parameters_with(plant: Plant, a: Sequence[float]) -> dict[str, float]:
 
     target = np.array(plant.constants)
     count = len(plant.a)
-    target[1:1 + count] = a
+    target[0], target[1:1 + count] = b, a
     slopes = _slopes(constants, before, scale)
-    alone = (np.abs(slopes[0]) < 1e-12) & (np.abs(slopes[1 + count:]) < 1e-12).all(axis=0)
+    others = (np.abs(slopes[1 + count:]) < 1e-12).all(axis=0)
+    alone = (np.abs(slopes[0]) < 1e-12) & others
     acting = np.asarray(np.abs(slopes).max(axis=0) > 0.0)
-    for free in (alone & acting, acting):
+    ways = [alone & acting, acting]
+    if one:
+        ways = []
+        for place in np.flatnonzero((np.abs(slopes[0]) > 1e-12) & others).tolist():
+            way = alone & acting
+            way[place] = True
+            ways.append(way)
+    for free in ways:
         found = _newton(constants, before, scale, target, free)
         if found is not None:
-            return {f'plant.{name}': float(value)
-                    for name, value in zip(names, found.tolist(), strict=True)}
-    raise ConfigurationError('plant.model', plant.name, 'no allowed parameters of this model give '
-                             + ', '.join(f'a{i + 1} = {value:.6g}' for i, value in enumerate(a)))
+            yield {f'plant.{name}': float(value)
+                   for name, value in zip(names, found.tolist(), strict=True)}
 
 
 def friction_terms(plant: Plant, zone: Array) -> tuple[Array, Array]:
@@ -106,7 +154,23 @@ def _newton(constants: Any, q: Array, scale: Array, target: Array,
             slopes = _slopes(constants, q, scale) / size[:, np.newaxis]
             step = np.zeros(len(q))
             step[free] = np.linalg.pinv(slopes[:, free]) @ rest
-            q = q + step * scale
+            q = _shorter(constants, q, step * scale)
         return q if np.abs((target - constants(q)) / size).max() < CLOSE else None
     except ConfigurationError:
         return None
+
+
+def _shorter(constants: Any, q: Array, step: Array) -> Array:
+    """Return q + step, by half a step or less where that is no allowed parameter.
+
+    Raises:
+        ConfigurationError: However short, it is not allowed.
+    """
+    for _ in range(HALVINGS):
+        try:
+            constants(q + step)
+            break
+        except (ConfigurationError, ArithmeticError):
+            step = 0.5 * step
+    constants(q + step)
+    return np.asarray(q + step)

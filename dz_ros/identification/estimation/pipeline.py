@@ -22,16 +22,22 @@ from dz_ros.core.dataset import RunData
 from dz_ros.errors import LoopError, RecordingError
 from dz_ros.identification.estimation.bounds import Bound, parameter_bound
 from dz_ros.identification.estimation.consistency import (
-    check_command_sign,
     check_log,
     check_samples,
-    rounding_hint,
+    Doubt,
+    rounding,
 )
-from dz_ros.identification.estimation.least_squares import hats, Line, solve, solve_over_time, ZONE
+from dz_ros.identification.estimation.least_squares import hats, Line, solve_over_time, ZONE
 from dz_ros.identification.estimation.long_simulation import refine_by_simulation
+from dz_ros.identification.estimation.motion_fit import (
+    best_delay,
+    fit_motion,
+    MotionFit,
+    WrongSignError,
+)
 from dz_ros.identification.estimation.physical_parameters import friction_terms
 from dz_ros.identification.estimation.prediction_error import Fit, fit, Parameters
-from dz_ros.identification.estimation.stretches import Cutter, Stack, Stretch
+from dz_ros.identification.estimation.stretches import Cutter, Stretch
 from dz_ros.identification.experiment.plan import LEAST_REPEATS
 from dz_ros.identification.samples import check_length, from_run, motion_speed, Samples
 
@@ -39,8 +45,6 @@ Array = NDArray[np.float64]
 
 ENOUGH_MOTION = 20
 """Stretches of motion from which on a plant with friction is fitted to these alone."""
-LONGEST_DELAY = 5
-"""Delays of up to this number of samples are tried."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,7 @@ class Identified:
         integrations: How often the equation was integrated to reach what was measured.
         friction_counted: Whether the break points count friction and constant forces in, since
             the motion does not show a dead-zone beside them.
+        notes: What the samples leave open.
     """
 
     bounds: dict[str, Bound]
@@ -71,17 +76,7 @@ class Identified:
     delay: int
     integrations: int
     friction_counted: bool
-
-
-@dataclass(frozen=True)
-class _Found:
-    """Stretches, the least squares of them, and what it took."""
-
-    stretches: list[Stretch]
-    stack: Stack
-    line: Line
-    delay: int
-    by_side: bool
+    notes: tuple[str, ...] = ()
 
 
 def identify(samples: Samples, c: Configuration, margin: float) -> Identified:
@@ -98,14 +93,15 @@ def identify(samples: Samples, c: Configuration, margin: float) -> Identified:
     Raises:
         RecordingError: They do not show it, or contradict themselves.
     """
-    check_samples(samples, c)
+    doubt = check_samples(samples, c)
     try:
-        return _bounded(_best_delay(samples, c, margin), samples, c)
-    except _WrongSignError:
+        return _bounded(best_delay(samples, c, margin), samples, c, doubt)
+    except WrongSignError:
         raise
     except RecordingError as error:
-        coarse = rounding_hint(samples, c)
-        raise RecordingError(f'{error}{coarse}') from None
+        coarse = rounding(samples, c)
+        hint = f'; {coarse}: record it with more digits' if coarse else ''
+        raise RecordingError(f'{error}{hint}') from None
 
 
 def find_delay(samples: Samples, c: Configuration, margin: float) -> int:
@@ -115,58 +111,11 @@ def find_delay(samples: Samples, c: Configuration, margin: float) -> int:
         RecordingError: The samples do not show it, or contradict themselves.
     """
     check_samples(samples, c)
-    return _best_delay(samples, c, margin).delay
+    return best_delay(samples, c, margin).delay
 
 
-def _best_delay(samples: Samples, c: Configuration, margin: float) -> _Found:
-    """Return the least squares for the delay with which the equation leaves the least.
-
-    Raises:
-        RecordingError: There is too little motion, or the samples contradict themselves.
-    """
-    cutter = Cutter(samples, c)
-    best: _Found | None = None
-    problem = RecordingError('nothing to identify')
-    for delay in range(LONGEST_DELAY + 1):
-        try:
-            found = _least_squares(cutter.moving(margin, delay), samples, c, delay)
-        except _WrongSignError:
-            raise
-        except RecordingError as error:
-            problem = error
-            continue
-        if best is None or found.line.residual < best.line.residual:
-            best = found
-    if best is None:
-        raise problem
-    return best
-
-
-class _WrongSignError(RecordingError):
-    """The device is driven against the command, whatever the delay."""
-
-
-def _least_squares(found: list[Stretch], samples: Samples, c: Configuration,
-                   delay: int) -> _Found:
-    """Return the constants of stretches; with friction counted in where a break point is at 0."""
-    if not found:
-        raise RecordingError('nothing to identify: there is no motion')
-    times = c.plant.order - samples.measured + 1
-    stack = Stack(found, samples.period, times)
-    if delay == 0:
-        try:
-            check_command_sign(stack)
-        except RecordingError as error:
-            raise _WrongSignError(str(error)) from None
-    line = solve(stack)
-    if not (c.plant.friction and found[0].side and line.at_limit):
-        return _Found(found, stack, line, delay, False)
-    stack = Stack(found, samples.period, times, c.plant.friction)
-    return _Found(found, stack, solve(stack, by_side=True), delay, True)
-
-
-def _bounded(best: _Found, samples: Samples, c: Configuration) -> Identified:
-    """Return the result with values of each repeat, and the bounds they give."""
+def _bounded(best: MotionFit, samples: Samples, c: Configuration, doubt: Doubt) -> Identified:
+    """Return the result with values of each repeat, and the bounds they and the doubt give."""
     found, period = best.stretches, samples.period
     repeats = sorted({item.repeat for item in found if item.repeat >= 0})
     if len(repeats) < LEAST_REPEATS:
@@ -178,10 +127,12 @@ def _bounded(best: _Found, samples: Samples, c: Configuration) -> Identified:
     noise = np.sqrt(np.mean(line.errors ** 2, axis=0))
     bounds = {name: parameter_bound(name, line.zone[:, i], float(noise[i]),
                                     float(line.common[i])) for i, name in enumerate(ZONE)}
+    for name in ZONE[2:]:
+        bounds[name] = bounds[name].wider(doubt.scale)
     a, _, factor = _plant(c, line, best.by_side)
     return Identified(bounds, a, factor, line.residual, nodes, tuple(found),
                       hats(middles, nodes) @ (line.zone - line.zone.mean(axis=0)), best.delay,
-                      c.plant.order - samples.measured + 1, best.by_side)
+                      c.plant.order - samples.measured + 1, best.by_side, doubt.notes)
 
 
 def _plant(c: Configuration, line: Line, by_side: bool) -> tuple[Array, Array, float]:
@@ -248,8 +199,8 @@ def fit_log(run: RunData, c: Configuration) -> Fit:
         zone.b_r, zone.b_l, c.plant.b * zone.m_r, c.plant.b * zone.m_l]), 1.0)]
     for stretches in (moving, everything):
         try:
-            found = _least_squares(stretches, samples, c, 0)
-        except _WrongSignError:
+            found = fit_motion(stretches, samples, c, 0)
+        except WrongSignError:
             raise
         except RecordingError:
             continue

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``dz bag predict RUN --config CONFIG``: what a plant explains of a recording."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping
+import math
+from pathlib import Path
+
+from dz_ros.cli.options import add_recording, one_axis, read_recording, refuse_existing
+from dz_ros.cli.output import aligned, note_run, print_lines
+from dz_ros.cli.progress import stage
+from dz_ros.core.configuration import Configuration
+from dz_ros.core.dataset import RunData
+from dz_ros.core.loop.coupled import knows_others
+from dz_ros.errors import ConfigurationError
+from dz_ros.files.configurations import flat_parameters, load_configuration
+from dz_ros.identification.plant_prediction import predict, Prediction, with_own_constant
+from dz_ros.replay.whatif import base_configuration
+from dz_ros.runs.axes import choose_axis
+
+LENGTHS = (math.inf, 5.0, 1.0)
+"""Of the parts [s]; ∞ = once."""
+SHOWN = 1e-3
+"""A constant term of the recording's own is printed where it explains this share more."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the verb's arguments."""
+    add_recording(parser)
+    parser.add_argument('--config', metavar='CONFIG',
+                        help='whose plant: a file or the name of a configuration that comes with '
+                             'dz_ros (default: that of the run itself)')
+    parser.add_argument('--set', action='append', default=[], metavar='KEY=VALUE',
+                        dest='overrides', help='change one key of the configuration, e.g. '
+                        'plant.constant_force=-3; may be repeated')
+    parser.add_argument('--picture', type=Path, metavar='FILE',
+                        help='draw measured and predicted states; a PNG that must not exist')
+    parser.epilog = ('The plant is driven by the recorded commands alone, from the first '
+                     'measurement on. 100 % is a perfect prediction, 0 % is that of the mean.')
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Simulate, print, draw.
+
+    Raises:
+        ConfigurationError: There is no plant, or one that couples several axes.
+        RecordingError: The run cannot be read or has no states and commands.
+        RunExistsError: The picture exists.
+    """
+    refuse_existing(arguments.picture, 'file')
+    whole_run = read_recording(arguments.run, arguments.namespace)
+    c = _configuration(arguments, whole_run)
+    data = choose_axis(whole_run, arguments.axis if whole_run.axes else None)
+    if knows_others(c):
+        raise ConfigurationError('plant.model', c.plant.name, 'moves several axes together: '
+                                 'must be of one axis to be predicted alone')
+    with stage('simulating'):
+        found = {length: predict(data, c, length) for length in LENGTHS}
+        own = with_own_constant(data, c)
+    whole = found[math.inf]
+    origin = arguments.config or 'the run itself'
+    print_lines([f'plant {c.plant.name} of {origin}, driven by the commands of {arguments.run} '
+                 'alone'])
+    print_lines(prediction_lines(found, c))
+    if own is not None:
+        print_lines(_own_lines(own, whole, predict(data, own[0]), c))
+    if whole.lost:
+        print_lines([f'note: {whole.lost} samples beside holes are not predicted'])
+    note_run(data)
+    if arguments.picture is not None:
+        from dz_ros.identification.prediction_plot import draw
+
+        arguments.picture.write_bytes(draw(whole, c).png())
+        print_lines([f'picture: {arguments.picture}'])
+    return 0
+
+
+def _configuration(arguments: argparse.Namespace, data: RunData) -> Configuration:
+    """Return whose plant predicts.
+
+    Raises:
+        ConfigurationError: Neither the run nor --config has one.
+    """
+    if arguments.config is not None:
+        return one_axis(load_configuration(arguments.config, arguments.overrides,
+                                           arguments.namespace or ''), arguments.axis)
+    flat = base_configuration(choose_axis(data, arguments.axis))
+    if not any(key.startswith('plant.') for key in flat):
+        raise ConfigurationError('--config', '', 'must name the configuration of the plant: the '
+                                 'run states none')
+    return Configuration.from_untrusted(flat, flat_parameters(None, arguments.overrides), False)
+
+
+def prediction_lines(found: Mapping[float, Prediction], c: Configuration) -> Iterator[str]:
+    """Yield a table: how often it begins, what is explained of each measured state.
+
+    Args:
+        found: Length of a part [s] → the prediction.
+        c: Units of the states.
+    """
+    units = c.plant.state_units
+    count = next(iter(found.values())).measured.shape[1]
+    rows = [('begun', 'parts', *(f'{text} of x{i}' + (f' [{units[i]}]' if text == 'RMS' else '')
+                                 for i in range(count) for text in ('explained', 'RMS')))]
+    for length, item in found.items():
+        numbers = [text for share, rms in zip(item.explained, item.rms, strict=True)
+                   for text in (percent(share), f'{rms:.3g}')]
+        rows.append(('once' if math.isinf(length) else f'every {length:g} s',
+                     str(len(item.starts)), *numbers))
+    yield from aligned(rows, (0,))
+
+
+def percent(share: float) -> str:
+    """Return a share as text; with more digits the nearer to all it is."""
+    if math.isnan(share):
+        return 'it does not move'
+    if math.isinf(share):
+        return 'diverges'
+    left = 100.0 * (1.0 - share)
+    digits = 2 if left >= 0.1 or left < 1e-9 else min(6, math.ceil(-math.log10(left)) + 1)
+    return f'{100.0 * share:.{digits}f} %'
+
+
+def _own_lines(own: tuple[Configuration, int], whole: Prediction, better: Prediction,
+               c: Configuration) -> Iterator[str]:
+    """Yield what the constant term of the recording itself would change, if it is much."""
+    changed, number = own
+    if not better.explained[0] - whole.explained[0] > SHOWN:
+        return
+    before, after = c.to_flat(), changed.to_flat()
+    keys = ', '.join(f'{key} = {value:.4g} in place of {before[key]:.4g}'
+                     for key, value in after.items()
+                     if isinstance(value, float) and value != before[key])
+    yield (f'with the a{number} that suits this recording best, {keys}: '
+           f'{percent(better.explained[0])} of x0, begun once')
