@@ -7,10 +7,10 @@ the variance of a measured state that it explains is
 
     1 − Σ (x_k − x̂_k)² / Σ (x_k − x̄)²
 
-over all samples: 1 is a perfect prediction, 0 as good as the mean alone, below 0 worse. A
-part begins behind each hole and, where a length is given, at the end of the part before: a long
-one shows what adds up over time, a constant force above all, a short one the rest. An x^(n−1) that is not
-measured begins with the slope of the samples beside the first.
+over all samples: 1 is a perfect prediction, 0 as good as the mean alone, below 0 worse. A part
+begins behind each hole and, where a length is given, at the end of the part before: a long one
+shows what adds up over time, a constant force above all, a short one the rest. An x^(n−1) that is
+not measured begins with the slope of the samples beside the first.
 """
 
 from __future__ import annotations

@@ -64,7 +64,7 @@ class Doubt:
 
     Attributes:
         scale: Share by which what was measured last may be too large or too small.
-        notes: The same in words, a line each.
+        notes: A line about each.
     """
 
     scale: float = 0.0
