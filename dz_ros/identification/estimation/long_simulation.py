@@ -11,7 +11,8 @@ near what was measured, bound to the estimates of the stretches by their confide
 x the position, S_g the length of a part in seconds (residuals of one second count once, they
 depend on each other), σ the RMS of the residual itself, s_i the standard error of p̂_i. A
 simulation begins with what was measured; an x^(n−1) that was not is the slope at the first sample
-of a parabola through a few. Break points are not changed, and the confidence intervals stay those
+of a parabola through a few. Slopes of both sides that agree within their confidence become one:
+their difference does nearly what a constant force does, and neither is known as well then. Break points are not changed, and the confidence intervals stay those
 of the stretches: residuals of a long simulation depend on each other too much to give any.
 """
 
@@ -91,12 +92,16 @@ def refine_by_simulation(fitted: Fit, samples: Samples, c: Configuration, delay:
     if samples.measured < c.plant.order:
         for start, x in zip(predict.starts, predict.measured, strict=True):
             start[-1] = slope_at(x[:SLOPE + 1, -1], 0, samples.period)
+    right, left = fitted.estimates[-2:]
+    one = abs(right.value - left.value) <= right.half_width + left.half_width
     lengths = [(rows[1] - rows[0] + 1) * samples.period for rows in parts]
 
     def parameters(q: Array) -> Array:
         p: Array = values.copy()
         p[free] += scale[free] * q
         p[-2:] = np.maximum(p[-2:], 0.1 * values[-2:])      # slopes stay slopes
+        if one:
+            p[-2:] = p[-2:].mean()
         return p
 
     def differences(q: Array) -> list[Array]:
