@@ -104,6 +104,47 @@ def test_friction_and_dead_zone_are_one_where_no_command_separates_them(override
         assert item.width < 0.2 * abs(truth)
 
 
+def axis_run(*overrides):
+    """Return a configuration of the axis, and a run in which it may be another one."""
+    made = load_configuration('axis', ['loop.duration=24.0', *overrides])
+    return load_configuration('axis', []), recorded(simulate(made), 10 ** 18)
+
+
+def test_friction_that_the_model_smooths_otherwise_is_no_dead_zone():
+    c, run = axis_run('plant.smoothing_speed=0.02')
+    result = found(c, run)
+    assert result.residual > 3.0 * result.noise
+    assert result.friction_counted
+
+
+def test_few_stretches_of_motion_are_cut_finer_and_into_fewer_parts():
+    c, run = axis_run('plant.dead_zone.b_r=0.5', 'plant.dead_zone.b_l=-0.7',
+                      'trajectory.frequencies=[0.7, 2.1]')
+    result = found(c, run)
+    total = c.to_flat()['plant.coulomb_friction'] / c.to_flat()['plant.force_constant']
+    edges = (0.5, -0.7) if not result.friction_counted else (0.5 + total, -0.7 - total)
+    for item, truth in zip(result.bounds.values(), (*edges, c.plant.b, c.plant.b), strict=True):
+        assert item.low - 0.01 * abs(truth) <= truth <= item.high + 0.01 * abs(truth)
+
+
+@pytest.mark.parametrize(('force', 'offset'), [(-60.0, r'\+1\.7'), (60.0, r'-1\.7')])
+def test_a_constant_force_that_friction_does_not_hold_is_named(force, offset):
+    c, run = axis_run(f'plant.constant_force={force}', 'controller.theta_max=[9.5, 0.95, 5.0]',
+                      'controller.theta_min=[3.3, 0.33, -5.0]')
+    with pytest.raises(RecordingError, match=rf'constant force is larger.*--map v=…{offset}'):
+        found(c, run)
+
+
+@pytest.mark.parametrize(('samples', 'seen'), [(8, 8), (14, 10)])
+def test_a_long_delay_is_found_or_named(samples, seen):
+    c, run = axis_run()
+    late = changed(run, 2, lambda v: np.concatenate([v[samples:], np.full(samples, v[-1])]),
+                   'command')
+    result = found(c, late)
+    assert result.delay == seen
+    assert any('10 samples late or more' in note for note in result.notes) == (seen == 10)
+
+
 def test_a_dead_zone_that_commands_cross_is_separate_from_friction(loop):
     c, run = loop
     assert not found(c, run).friction_counted

@@ -49,7 +49,8 @@ def result_lines(found: Identified, c: Configuration,
     words = [f'a{i + 1} = {value:.4g}' for i, value in enumerate(found.a.tolist())]
     if found.stretches[0].y.shape[1] > len(words):
         words.append(f'share of the modelled disturbance = {found.disturbance:.4g}')
-    yield '  ' + ', '.join(words) + f'; residual {found.residual:.3g}'
+    yield ('  ' + ', '.join(words) + f'; residual {found.residual:.3g}, noise of the measurement '
+           f'{found.noise:.2g}')
     for note in doubts(found, breakaway, c):
         yield f'  note: {note}'
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
 from dz_ros.errors import RecordingError
-from dz_ros.identification.estimation.sensor import resolution
+from dz_ros.identification.estimation.sensor import resolution, white_noise
 from dz_ros.identification.samples import Samples, state_and_command
 
 Array = NDArray[np.float64]
@@ -213,7 +213,7 @@ def _check_rate(slow: Array, fast: Array, pieces: Sequence[tuple[int, int]], per
         return 1.0
     alpha, beta, left, errors = found
     moved = float(np.sqrt(np.mean(change ** 2)))
-    noise = math.sqrt(2.0 * _noise(slow) ** 2 + _noise(fast) ** 2 * WINDOW * period)
+    noise = math.sqrt(2.0 * white_noise(slow) ** 2 + white_noise(fast) ** 2 * WINDOW * period)
     subject = f'{fast_name} is not the rate of {slow_name}: '
     if left > max(REST * moved, SIGMAS * noise):
         shift, best = min(((shift, fit[2]) for shift, fit in fits.items() if fit is not None),
@@ -265,14 +265,6 @@ def _fit(change: Array, integral: Array, edges: NDArray[np.int64],
     variance = float(rest @ rest) / max(1, len(edges) - 2)
     errors = np.sqrt(variance * np.diag(inverse)).tolist()
     return alpha, beta, math.sqrt(variance), (errors[0], errors[1])
-
-
-def _noise(values: Array) -> float:
-    """Return the standard deviation of white noise, by third differences."""
-    steps = np.diff(values, n=3)
-    steps = steps[np.isfinite(steps)]
-    # By the median: few outliers are no noise.
-    return float(np.median(np.abs(steps))) / (0.6745 * math.sqrt(20.0)) if len(steps) else 0.0
 
 
 def _factor(factor: float) -> str:

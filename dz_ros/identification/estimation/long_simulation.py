@@ -12,8 +12,9 @@ x the position, S_g the length of a part in seconds (residuals of one second cou
 depend on each other), σ the RMS of the residual itself, s_i the standard error of p̂_i. A
 simulation begins with what was measured; an x^(n−1) that was not is the slope at the first sample
 of a parabola through a few. Slopes of both sides that agree within their confidence become one:
-their difference does nearly what a constant force does, and neither is known as well then. Break points are not changed, and the confidence intervals stay those
-of the stretches: residuals of a long simulation depend on each other too much to give any.
+their difference does nearly what a constant force does, and neither is known as well then. Break
+points are not changed, and the confidence intervals stay those of the stretches: residuals of a
+long simulation depend on each other too much to give any.
 """
 
 from __future__ import annotations

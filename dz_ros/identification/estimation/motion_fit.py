@@ -13,6 +13,7 @@ refused; compared are
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 
@@ -21,6 +22,7 @@ import numpy as np
 from dz_ros.core.configuration import Configuration
 from dz_ros.errors import RecordingError
 from dz_ros.identification.estimation.least_squares import Line, residual_without_zone, solve
+from dz_ros.identification.estimation.sensor import measurement_noise
 from dz_ros.identification.estimation.stretches import Cutter, Stack, Stretch
 from dz_ros.identification.samples import Samples
 
@@ -29,8 +31,17 @@ PER_STRETCH, CHANCE = 2, 9.21
 chance exceeds in 1 % of all cases."""
 SURE = 4.0
 """Standard errors from which on a slope is not 0."""
-LONGEST_DELAY = 5
-"""Delays of up to this number of samples are tried."""
+LONGEST_DELAY, FARTHER = 10, 3
+"""Delays of up to the first number of samples are tried, but none the second number of samples
+behind one that leaves `CLEARLY` less."""
+CLEARLY = 1.2
+"""How many times as much."""
+ENTERED = 0.02
+"""Share of the samples of motion to either side whose command must lie inside the dead-zone, or
+against the motion, to show it."""
+MISFIT, WORTH = 3.0, 2.0
+"""A residual of this many times the sensor's noise is that of a model that lacks something; a
+dead-zone then has to make it this many times smaller."""
 
 
 @dataclass(frozen=True)
@@ -63,20 +74,35 @@ def best_delay(samples: Samples, c: Configuration, margin: float) -> MotionFit:
     """
     cutter = Cutter(samples, c)
     best: MotionFit | None = None
-    problem = RecordingError('nothing to identify')
+    problem, blind = RecordingError('nothing to identify'), math.inf
     for delay in range(LONGEST_DELAY + 1):
         try:
-            found = fit_motion(cutter.moving(margin, delay), samples, c, delay)
-        except WrongSignError:
-            raise
+            moving = cutter.moving(margin, delay)
         except RecordingError as error:
             problem = error
             continue
+        try:
+            found = fit_motion(moving, samples, c, delay)
+        except WrongSignError:
+            raise
+        except RecordingError as error:
+            least = residual_without_zone(_stack(moving, samples, c))
+            if least < blind:
+                problem, blind = error, least
+            continue
         if best is None or found.line.residual < best.line.residual:
             best = found
-    if best is None:
+        elif delay >= best.delay + FARTHER and found.line.residual > CLEARLY * best.line.residual:
+            break
+    if best is None or blind < best.line.residual:     # most likely a delay that shows nothing
         raise problem
     return best
+
+
+def _stack(found: list[Stretch], samples: Samples, c: Configuration,
+           without: Sequence[int] = ()) -> Stack:
+    """Return the integrated equation of stretches."""
+    return Stack(found, samples.period, c.plant.order - samples.measured + 1, without)
 
 
 def fit_motion(found: list[Stretch], samples: Samples, c: Configuration,
@@ -95,8 +121,7 @@ def fit_motion(found: list[Stretch], samples: Samples, c: Configuration,
     """
     if not found:
         raise RecordingError('nothing to identify: there is no motion')
-    times = c.plant.order - samples.measured + 1
-    stack = Stack(found, samples.period, times)
+    stack = _stack(found, samples, c)
     if delay == 0:
         _check_command_sign(stack)
     friction = c.plant.friction if found[0].side else ()
@@ -105,30 +130,44 @@ def fit_motion(found: list[Stretch], samples: Samples, c: Configuration,
         line = solve(stack)
     except RecordingError as error:
         problem = error
+    noise = noise_of(samples)
     if line is not None and (
-            not friction or (not line.at_limit and _shows_dead_zone(stack, line))):
+            not friction or (not line.at_limit and _shows_dead_zone(stack, line, noise))):
         return MotionFit(found, stack, line, delay, False)
     if not friction:
         raise problem
-    together = Stack(found, samples.period, times, friction)
+    together = _stack(found, samples, c, friction)
     counted = solve(together, by_side=True)
     if line is None and (counted.zone[0, 2:] < SURE * counted.common[2:]).any():
         raise problem
     return MotionFit(found, together, counted, delay, True)
 
 
-def _shows_dead_zone(stack: Stack, line: Line) -> bool:
+def noise_of(samples: Samples) -> float:
+    """Return the noise of what is measured last [its unit]."""
+    return measurement_noise(samples.x[:, samples.measured - 1])
+
+
+def _shows_dead_zone(stack: Stack, line: Line, noise: float) -> bool:
     """Return whether a dead-zone beside friction explains more than chance would (ours).
 
     A command that never enters the dead-zone while the device moves shows the sum of friction and
     dead-zone alone: any share of either leaves the same. The two break points are the two
     parameters more of an F-test against none. Neighbouring samples err alike, so each counts for
-    less than one: by how much the errors of stretches exceed those of white noise.
+    less than one: by how much the errors of stretches exceed those of white noise. Where the
+    residual is not noise, the model of friction itself lacks something, which a dead-zone may
+    seem to explain; then it has to explain most of the residual.
     """
-    none = residual_without_zone(stack)
+    inside = np.array([np.mean(v * side < edge * side) for side, edge in zip(
+        (1.0, -1.0), line.zone[0, :2], strict=True) if len(v := stack.v[stack.side == side])])
+    if inside.min(initial=1.0) < ENTERED:
+        return False
+    ratio = residual_without_zone(stack) / max(line.residual, 1e-300)
+    if line.residual > MISFIT * noise and ratio < WORTH:
+        return False
     alike = float(np.median(line.common / np.maximum(line.errors[0], 1e-300)))
     count = max(PER_STRETCH * stack.count, len(stack.v) / max(1.0, alike) ** 2)
-    return count * ((none / max(line.residual, 1e-300)) ** 2 - 1.0) > CHANCE
+    return count * (ratio ** 2 - 1.0) > CHANCE
 
 
 def _check_command_sign(stack: Stack) -> None:

@@ -27,12 +27,20 @@ from dz_ros.identification.estimation.consistency import (
     Doubt,
     rounding,
 )
-from dz_ros.identification.estimation.least_squares import hats, Line, solve_over_time, ZONE
+from dz_ros.identification.estimation.least_squares import (
+    COUNT,
+    hats,
+    Line,
+    solve_over_time,
+    ZONE,
+)
 from dz_ros.identification.estimation.long_simulation import refine_by_simulation
 from dz_ros.identification.estimation.motion_fit import (
     best_delay,
     fit_motion,
+    LONGEST_DELAY,
     MotionFit,
+    noise_of,
     WrongSignError,
 )
 from dz_ros.identification.estimation.physical_parameters import friction_terms
@@ -43,6 +51,8 @@ from dz_ros.identification.samples import check_length, from_run, motion_speed, 
 
 Array = NDArray[np.float64]
 
+SPARE = 1.2
+"""Stretches for each unknown, where there are too few for a node in each repeat."""
 ENOUGH_MOTION = 20
 """Stretches of motion from which on a plant with friction is fitted to these alone."""
 
@@ -64,6 +74,7 @@ class Identified:
         friction_counted: Whether the break points count friction and constant forces in, since
             the motion does not show a dead-zone beside them.
         notes: What the samples leave open.
+        noise: Of what was measured last [its unit]; a residual far above it is of the model.
     """
 
     bounds: dict[str, Bound]
@@ -77,6 +88,7 @@ class Identified:
     integrations: int
     friction_counted: bool
     notes: tuple[str, ...] = ()
+    noise: float = 0.0
 
 
 def identify(samples: Samples, c: Configuration, margin: float) -> Identified:
@@ -120,19 +132,46 @@ def _bounded(best: MotionFit, samples: Samples, c: Configuration, doubt: Doubt) 
     repeats = sorted({item.repeat for item in found if item.repeat >= 0})
     if len(repeats) < LEAST_REPEATS:
         raise RecordingError(f'{len(repeats)} repeats show motion, {LEAST_REPEATS} are needed')
-    nodes = np.array([period * np.mean([np.mean(item.rows) for item in found
-                                        if item.repeat == number]) for number in repeats])
     middles = np.array([period * np.mean(item.rows) for item in found])
+    nodes = np.array([np.mean([middle for middle, item in zip(middles, found, strict=True)
+                               if item.repeat == number]) for number in repeats])
+    constants = best.stack.y.shape[1]
+    if len(found) <= constants + COUNT * len(nodes):
+        # Too few stretches for a node in each: some have one together.
+        fewer = max(LEAST_REPEATS, int((len(found) / SPARE - constants) / COUNT))
+        nodes = np.array([np.mean(part) for part in np.array_split(middles, fewer)])
     line = solve_over_time(best.stack, middles, nodes, best.line, best.by_side)
     noise = np.sqrt(np.mean(line.errors ** 2, axis=0))
+    if best.by_side:
+        _check_constant_force(line, c)
     bounds = {name: parameter_bound(name, line.zone[:, i], float(noise[i]),
                                     float(line.common[i])) for i, name in enumerate(ZONE)}
     for name in ZONE[2:]:
         bounds[name] = bounds[name].wider(doubt.scale)
+    notes = doubt.notes
+    if best.delay == LONGEST_DELAY:
+        notes = (*notes, f'commands act {best.delay} samples late or more, no larger delay was '
+                 'tried: that is another model of the plant, or too slow a loop')
     a, _, factor = _plant(c, line, best.by_side)
     return Identified(bounds, a, factor, line.residual, nodes, tuple(found),
                       hats(middles, nodes) @ (line.zone - line.zone.mean(axis=0)), best.delay,
-                      c.plant.order - samples.measured + 1, best.by_side, doubt.notes)
+                      c.plant.order - samples.measured + 1, best.by_side, notes,
+                      noise_of(samples))
+
+
+def _check_constant_force(line: Line, c: Configuration) -> None:
+    """Check that friction, counted in, holds a constant force.
+
+    Raises:
+        RecordingError: It does not: at v = 0 the device moves by itself.
+    """
+    b_r, b_l = line.zone[:, :2].mean(axis=0).tolist()
+    if b_r < 0.0 or b_l > 0.0:
+        unit, hold = c.plant.actuator_unit, 0.5 * (b_r + b_l)
+        raise RecordingError(
+            f'a constant force is larger than friction and dead-zone: the device is held by '
+            f'v = {hold:.3g} {unit} and moves by itself without; count it out of the commands, '
+            f'dz bag import --map v=…{-hold:+.3g}, and add it again behind the controller')
 
 
 def _plant(c: Configuration, line: Line, by_side: bool) -> tuple[Array, Array, float]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a device's measurement shows of its sensor: one step, and the noise at rest (ours).
+"""What a device's measurement shows of its sensor: one step, and its noise (ours).
 
 A position that is counted changes by whole multiples of one step q. q is the smallest change that
 is seen, if nearly all small changes are multiples of it; of a measurement that is not counted, or
@@ -7,6 +7,8 @@ is brought to the sample by a velocity, they are not, and q = 0 means that no st
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,3 +39,24 @@ def resolution(x: Array) -> float:
     if len(counts) < LEAST or np.mean(np.abs(counts - np.round(counts)) < NEAR) < SHARE:
         return 0.0
     return float(np.mean(steps[steps < SMALL * least] / np.round(counts)))
+
+
+def white_noise(values: Array) -> float:
+    """Return the standard deviation of white noise, by third differences.
+
+    Args:
+        values: In the order of time, shape (K,); NaN = not measured.
+    """
+    steps = np.diff(values, n=3)
+    steps = steps[np.isfinite(steps)]
+    # By the median: few outliers are no noise.
+    return float(np.median(np.abs(steps))) / (0.6745 * math.sqrt(20.0)) if len(steps) else 0.0
+
+
+def measurement_noise(x: Array) -> float:
+    """Return the standard deviation of noise and rounding of a measurement.
+
+    Args:
+        x: In the order of time, shape (K,); NaN = not measured.
+    """
+    return max(white_noise(x), resolution(x) / math.sqrt(12.0))

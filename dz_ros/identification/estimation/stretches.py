@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 
 LONGEST, SHORTEST = 1.0, 0.15
 """Length of a stretch of motion [s]."""
+PLENTY = 25
+"""Fewer stretches of motion are cut half as long."""
 LEAST_SAMPLES = 8
 """Samples that a stretch has at least."""
 PIECES = 20
@@ -173,8 +175,10 @@ class Cutter:
             side = np.where(np.abs(speed) > margin, np.sign(speed), 0.0)
         side = np.where(known, side, 0.0)
         period = self.samples.period
-        found = list(self._cut(side, delay, max(LEAST_SAMPLES, round(SHORTEST / period)),
-                               LONGEST / period))
+        shortest = max(LEAST_SAMPLES, round(SHORTEST / period))
+        found = list(self._cut(side, delay, shortest, LONGEST / period))
+        if len(found) < PLENTY:
+            found = list(self._cut(side, delay, shortest, 0.5 * LONGEST / period))
         least = 2 * (self._y.shape[1] + 4) if least is None else least
         if len(found) < least:
             raise RecordingError(f'nothing to identify: {len(found)} stretches of motion, longer '
