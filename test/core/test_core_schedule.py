@@ -109,8 +109,8 @@ def test_refuses_tables_without_what_they_follow():
 
 def test_bounds_are_compared_with_the_whole_range():
     c = Configuration.from_flat({**FALLING, 'controller.m_bounds': [0.65, 1.25]})
-    levels = {item.rule: item.level for item in check_dead_zone(c)}
-    assert levels['(A4)'] == INFO
+    words = {item.rule: item.words for item in check_dead_zone(c) if item.level == INFO}
+    assert 'where m is one constant, not here' in words['(A4)']
     narrow = c.replace(**{'controller.b_r_bounds': [0.1, 0.44]})   # 0.45 at 14 V
     assert {item.rule: item.level for item in check_dead_zone(narrow)}['(A4)'] == WARNING
     enough = narrow.replace(**{'loop.schedule_values': [20.0, 15.0]})

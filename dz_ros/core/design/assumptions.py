@@ -71,9 +71,10 @@ def check_dead_zone(c: Configuration) -> Iterator[Finding]:
     elif c.simulated:
         moving = any(low != high for low, high in (zone.extent('b_r', schedule),
                                                    zone.extent('b_l', schedule)))
-        yield Finding(INFO, '(A4)', 'holds: the dead-zone lies within the stated bounds'
-                      + ('; that b_r or b_l drifts there, with m constant, the theorem covers'
-                         if moving else ''))
+        yield Finding(INFO, '(A4)', 'holds: the dead-zone lies within the stated bounds' + (
+            '' if not moving else '; that b_r or b_l drifts there the theorem covers' if
+            same_slope(*slopes) else
+            '; the theorem covers that b_r or b_l drifts there where m is one constant, not here'))
     else:
         yield Finding(INFO, '(A4)', 'stated: the dead-zone of the device has b_r in '
                       f'{_span(known.b_r_bounds)}, b_l in {_span(known.b_l_bounds)}, m in '
