@@ -456,11 +456,18 @@ def test_frozen_values_with_running_stamps_end_at_the_error_limit(watcher, robot
 @pytest.mark.ros
 def test_commands_of_an_inactive_controller_do_nothing_and_are_forgotten(
         watcher, robot):
+    sent = []
+    watcher.node.create_subscription(watcher.array, '/effort_controller/commands',
+                                     lambda message: sent.append(message.data[0]), 10)
     robot.start('-p', 'safety.error_limit:=0.5', active=False)
     # Only the error that grows shows it: that is what error_limit is for.
     watcher.wait_for_mode(controller_node='fault')
     assert watcher.modes()['controller_node'][1].startswith('error ')
-    watcher.wait(lambda: robot.interface)
+    # A machine that stalls has commands of before the fault on their way still.
+    watcher.wait(lambda: len(sent) > 50 and not any(sent[-50:]))
+    assert any(sent)
+    received = len(robot.interface)
+    watcher.wait(lambda: len(robot.interface) > received + 50)
     assert {held for _, held, *_ in robot.interface} == {0.0}
     robot.do('activate')
     received = len(robot.interface)
