@@ -62,10 +62,11 @@ class Prediction:
     @property
     def explained(self) -> tuple[float, ...]:
         """Share of each measured state's variance; −∞ = it diverged, NaN = it does not move."""
-        power = self.measured.var(axis=0)
-        found = [1.0 - rms * rms / item if item > 0.0 else math.nan
-                 for rms, item in zip(self.rms, power.tolist(), strict=True)]
-        return tuple(found)
+        span = np.ptp(self.measured, axis=0)
+        moves = span > 0.0      # a variance is, by rounding, where nothing moves
+        power = (self.measured / np.where(moves, span, 1.0)).var(axis=0)
+        return tuple(1.0 - (rms / size) ** 2 / item if size else math.nan for rms, size, item
+                     in zip(self.rms, span.tolist(), power.tolist(), strict=True))
 
     @property
     def rms(self) -> tuple[float, ...]:
@@ -95,7 +96,7 @@ def predict(run: RunData, c: Configuration, length: float = math.inf) -> Predict
     parts = list(_parts(samples, length))
     if not parts:
         raise RecordingError(f'there are no {LEAST} states in a row to be predicted')
-    paths = [_simulated(c, _start(samples, begin, c.plant.order), stamps[begin:end], times,
+    paths = [_simulated(c, _start(samples, begin, end, c.plant.order), stamps[begin:end], times,
                         commands)[:, :samples.measured] for begin, end in parts]
     rows = np.concatenate([np.arange(begin, end) for begin, end in parts])
     starts = np.cumsum([0, *(end - begin for begin, end in parts[:-1])])
@@ -150,14 +151,14 @@ def _parts(samples: Samples, length: float) -> Iterator[tuple[int, int]]:
             begin = end
 
 
-def _start(samples: Samples, row: int, order: int) -> list[float]:
-    """Return the state at a row; the derivative of what is measured last by its slope."""
+def _start(samples: Samples, row: int, end: int, order: int) -> list[float]:
+    """Return the state at a part's first row; the derivative of what is measured last by slope."""
     x = samples.x[row, :samples.measured].tolist()
     if samples.measured < order:
         half = LEAST // 2
         before = row >= half and samples.joined[row - half:row].all()   # none behind a hole
         begin = row - half if before else row
-        near = samples.x[begin:begin + LEAST + 1, samples.measured - 1]
+        near = samples.x[begin:min(begin + LEAST + 1, end), samples.measured - 1]
         x.append(slope_at(near, row - begin, samples.period))
     return [*x, *[0.0] * (order - len(x))]
 

@@ -81,7 +81,7 @@ def read_table(path: Path, wanted: Sequence[str]) -> Columns:
                                      f'names {len(names)} columns')
             if len(numbers) >= MOST_ROWS * len(places):
                 raise RecordingError(f'{path}: more than {MOST_ROWS} rows')
-            if not numbers and not units and all(as_number(cell) is None for cell in cells):
+            if not numbers and not units and _is_text([as_number(cell) for cell in cells]):
                 units = True
                 continue
             for place in places:
@@ -147,6 +147,11 @@ def _is_number(text: str) -> bool:
     return True
 
 
+def _is_text(values: Sequence[float | None]) -> bool:
+    """Whether a line has text but no number: of units, some of them empty or -."""
+    return None in values and all(item is None or math.isnan(item) for item in values)
+
+
 def _as_number(cell: str, decimal_comma: bool) -> float | None:
     """Return the number of a cell, NaN for none, None where it is text."""
     text = cell.strip()
@@ -155,7 +160,7 @@ def _as_number(cell: str, decimal_comma: bool) -> float | None:
     if decimal_comma and _COMMA.match(text):
         text = text.replace(',', '.')
     try:
-        return float(text)
+        return float(text) if '_' not in text else None
     except ValueError:
         pass
     if not _DATE.match(text):

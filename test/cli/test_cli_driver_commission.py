@@ -7,6 +7,7 @@ Over 300 lines: the steps of one verb, with the same device and folder of earlie
 import json
 import os
 from pathlib import Path
+import re
 import shlex
 import signal
 import sys
@@ -45,7 +46,8 @@ def test_the_commands_of_the_page(tmp_path, monkeypatch, capsys):
     assert main([*first, *DEVICE[1:], '--repeats', '4', '--until', 'check']) == 0
     printed = capsys.readouterr().out
     assert 'the device follows the command' in printed
-    assert 'one step of the position is 0.0005 rad' in printed
+    assert re.search(r'one step of the position is 0\.0005 rad; '
+                     r'noise at rest \S+ rad, 0\.00\d+ rad/s; ', printed)
     assert '0 errors' in printed
     steps = {item['step']: item for item in log(out)}
     assert [item['step'] for item in log(out)] == [
@@ -250,6 +252,7 @@ def test_a_velocity_of_the_other_sign_is_named():
 
 INTERRUPTED = """
 import os
+import re
 import signal
 from dz_ros.drivers.simulated import SimulatedActuator
 

@@ -356,7 +356,8 @@ def test_a_restart_loses_the_position_of_an_incremental_encoder(liar, running, u
         return
     for again in (driver.recover, driver.enable):
         # A machine that stalls is silence before it is anything else: never is it power.
-        until(lambda again=again: 'its position is lost (driver.absolute_encoder' in refusal(again))
+        until(lambda again=again:
+              'its position is lost (driver.absolute_encoder' in refusal(again))
     driver.disable()
     driver.close()
     driver.open()       # the operator has homed it

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs that contradict themselves: each contradiction is named, and nothing is made from them."""
 
+import contextlib
 from dataclasses import replace
 import re
 
@@ -13,6 +14,7 @@ from dz_ros.core.loop.offline import simulate
 from dz_ros.drivers.simulated import SimulatedActuator
 from dz_ros.errors import RecordingError
 from dz_ros.files.configurations import load_configuration
+from dz_ros.identification.estimation.consistency import check_samples
 from dz_ros.identification.estimation.pipeline import fit_log, identify, identify_log
 from dz_ros.identification.samples import from_run, motion_speed
 
@@ -50,6 +52,13 @@ def without(run, share, channel='state', burst=1):
         old.labels, old.values[keep], old.log_time[keep], old.publish_time[keep])})
 
 
+def without_end(run, count):
+    """Return the first states of a run, this number."""
+    old = run.channels['state']
+    return replace(run, channels={**run.channels, 'state': Channel(
+        old.labels, old.values[:count], old.log_time[:count], old.publish_time[:count])})
+
+
 def found(c, run):
     return identify_log(run, c)[1]
 
@@ -74,6 +83,21 @@ def test_a_velocity_that_is_a_little_wrong_widens_the_bounds_of_the_slopes(loop,
         assert wrong.bounds[name].low <= truth <= wrong.bounds[name].high
     for name in ('b·m_r', 'b·m_l'):
         assert wrong.bounds[name].width > right.bounds[name].width + 1.5 * abs(factor - 1.0)
+
+
+def test_a_position_that_is_mostly_noise_shows_no_factor_of_the_velocity(loop):
+    """By chance alone it looks like half of it, or ten times as much, in one log of twenty."""
+    c, run = loop
+    run = without_end(run, 1100)
+    t = 0.005 * np.arange(1100)
+    v = 0.02 * np.sin(4.0 * t)
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        x = np.cumsum(v) * 0.005 + rng.normal(0.0, 0.005, len(t))
+        noisy = changed(changed(run, X, lambda _, x=x: x), V, lambda _, rng=rng:
+                        v + rng.normal(0.0, 0.01, len(t)))
+        with contextlib.suppress(RecordingError):       # by chance it is refused as well
+            assert check_samples(from_run(noisy, c), c).scale < 0.1
 
 
 def test_steps_that_the_bounds_do_not_count_are_named(loop):

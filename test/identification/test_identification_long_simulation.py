@@ -32,10 +32,11 @@ def axis():
     return c, from_run(recorded(simulate(c), 10 ** 18), c)
 
 
-def plant(c, a3, half_width):
+def plant(c, a3, half_width, **others):
     names = ('a1', 'a2', 'a3', 'b_r', 'b_l', 'b·m_r', 'b·m_l')
     values = (*c.plant.a[:2], a3, 0.0, 0.0, c.plant.b, c.plant.b)
-    return Fit(c.plant.name, tuple(Estimate(name, value, half_width if name == 'a3' else 0.01)
+    return Fit(c.plant.name, tuple(Estimate(name, value, half_width if name == 'a3' else
+                                            others.get(name[-1], 0.01))
                                    for name, value in zip(names, values, strict=True)),
                c.plant.b, (1.0, 1.0), 100, 20)
 
@@ -81,6 +82,16 @@ def test_what_is_not_seen_or_too_short_stays(axis):
     holes[::200] = np.nan
     fitted = plant(c, -0.05, 0.1)
     assert refine_by_simulation(fitted, replace(samples, x=holes), c, 0) is fitted
+
+
+def test_a_slope_that_is_not_seen_is_not_that_of_the_other_side(axis):
+    c, samples = axis
+    fitted = plant(c, 0.8 * c.plant.a[2], 0.5, l=math.inf)
+    kept = replace(fitted['b·m_l'], value=0.5 * c.plant.b)
+    found = refine_by_simulation(replace(fitted, estimates=(*fitted.estimates[:-1], kept)),
+                                 samples, c, 0)
+    assert found['b·m_l'] == kept
+    assert found['b·m_r'].value != found['b·m_l'].value
 
 
 def test_parts_are_the_longest_without_a_hole_and_not_too_long():

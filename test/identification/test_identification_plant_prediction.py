@@ -14,7 +14,7 @@ from dz_ros.core.dataset import from_run as recorded
 from dz_ros.core.loop.offline import simulate
 from dz_ros.errors import RecordingError
 from dz_ros.files.configurations import load_configuration
-from dz_ros.identification.plant_prediction import predict, with_own_constant
+from dz_ros.identification.plant_prediction import predict, Prediction, with_own_constant
 from dz_ros.recording.save import save_run
 
 
@@ -70,6 +70,25 @@ def test_a_hole_begins_a_part_and_short_parts_are_counted():
     assert found.predicted == pytest.approx(found.measured, abs=1e-9)
 
 
+@pytest.mark.parametrize('lost', [(0, 1000), (990, 1000)])
+def test_a_part_begins_with_the_slope_of_its_own_samples(lost):
+    c, run = made('axis', 'driver.measured=1')
+    run = without_states(without_states(run, 1010, 1040), *lost)    # 1000 to 1009 stay
+    found = predict(run, c)
+    begin = np.flatnonzero(np.isclose(found.t, 5.0))[0]
+    assert begin in found.starts
+    part = slice(begin, begin + 10)
+    assert found.predicted[part] == pytest.approx(found.measured[part], abs=2e-5)
+
+
+def test_what_does_not_move_has_no_share_and_what_moves_little_has():
+    t = np.arange(5.0)
+    still = np.full((5, 1), 0.1)
+    assert math.isnan(Prediction(t, still, still, (0,), 0).explained[0])
+    small = 1e-200 * t[:, np.newaxis]
+    assert Prediction(t, small, small, (0,), 0).explained == (1.0,)
+
+
 def test_the_constant_force_of_a_recording_is_found():
     c, run = made('axis', 'plant.constant_force=-3.0')
     other = c.replace(**{'plant.constant_force': -4.0})
@@ -105,7 +124,7 @@ def test_another_rate_and_no_states_are_refused():
 
 @pytest.mark.parametrize(('share', 'text'), [
     (1.0, '100.00 %'), (0.9985, '99.85 %'), (0.99966, '99.966 %'), (0.999999, '99.99990 %'),
-    (-1.5, '-150.00 %'), (math.nan, 'it does not move')])
+    (-1.5, '-150.00 %'), (-5.3e30, '-5.3e+32 %'), (math.nan, 'it does not move')])
 def test_a_share_has_the_digits_that_count(share, text):
     assert percent(share) == text
 
@@ -128,15 +147,21 @@ def test_the_verb_prints_what_is_explained_and_draws_it(saved, tmp_path, capsys)
                  'plant.viscous_friction=0.1']) == 0
     once = next(row for row in capsys.readouterr().out.splitlines() if row.startswith('once'))
     assert '100.00 %' not in once
+    assert main(['bag', 'predict', str(saved), '--config', 'wang2004']) == 0
+    assert ('note: states of plant wang2004 are in 1, 1/s, those of the run in rad, rad/s'
+            in capsys.readouterr().out)
 
 
 @pytest.mark.parametrize(('words', 'reported'), [
     (['--picture', '{run}/run.mcap'], 'exists already'),
     (['--config', 'two_link_arm', '--axis', 'shoulder'], 'moves several axes'),
     (['--config', 'first_order'], 'order 1'),
-    (['--config', 'nothing'], 'nothing')])
+    (['--config', 'nothing'], 'nothing'),
+    (['--config', '{run}/bounds.yaml'], 'must have a section plant'),
+    (['--picture', '{run}/none/x.png'], 'no such directory')])
 def test_what_cannot_be_predicted_is_refused_in_one_line(saved, capsys, words, reported):
     (saved / 'run.mcap').touch()
+    (saved / 'bounds.yaml').write_text('controller: {b_bounds: [1.0, 2.0]}\n')
     assert main(['bag', 'predict', str(saved), *(word.format(run=saved) for word in words)]) != 0
     err = capsys.readouterr().err.strip().splitlines()
     assert reported in err[-1]

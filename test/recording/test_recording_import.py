@@ -67,7 +67,8 @@ def test_a_map_names_each_signal_once():
     ('t,x\n0,1\n1,2\n', [1, 2]), ('t;x\r\n0;1,\r\n', None),
     ('# t\tx\n0\t1\n\n#no\n1\tnan\n', [1, np.nan]),
     ('\ufefft, x\n0, \n1,NULL\n', [np.nan, np.nan]),
-    ('t;x\n0,005;1,5\n0,01;-,25e1\n', [1.5, -2.5]), ('t,x\ns,m\n0,1\n', [1])])
+    ('t;x\n0,005;1,5\n0,01;-,25e1\n', [1.5, -2.5]), ('t,x\ns,m\n0,1\n', [1]),
+    ('t,x\ns,-\n0,1\n', [1]), ('t;x\n;mm\n0;1\n', [1])])
 def test_tables_are_read_whatever_separates_their_cells(tmp_path, text, values):
     path = tmp_path / 'a.csv'
     path.write_text(text, encoding='utf-8')
@@ -89,6 +90,7 @@ def test_times_may_be_dates(tmp_path):
 
 @pytest.mark.parametrize(('text', 'reported'), [
     ('t,x\ns,m\nms,mm\n0,1\n', "line 3: x is 'mm', not a number"),
+    ('t,x\n0,1_000\n', "x is '1_000', not a number"),
     ('t,x\n0,1\ns,m\n', "line 3: x is 'm', not a number"),
     ('t,x\n0,2024-13-01T12:00:00\n', "x is '2024-13-01T12:00:00', not a number"),
     ('t;x\n0;1,234,567\n', "x is '1,234,567', not a number"),

@@ -8,7 +8,13 @@ from collections.abc import Iterator, Mapping
 import math
 from pathlib import Path
 
-from dz_ros.cli.options import add_recording, one_axis, read_recording, refuse_existing
+from dz_ros.cli.options import (
+    add_recording,
+    one_axis,
+    read_recording,
+    refuse_existing,
+    require_folder,
+)
 from dz_ros.cli.output import aligned, note_run, print_lines
 from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
@@ -22,6 +28,8 @@ from dz_ros.runs.axes import choose_axis
 
 LENGTHS = (math.inf, 5.0, 1.0)
 """Of the parts [s]; ∞ = once."""
+WORST = -10.0
+"""A share below has two digits."""
 SHOWN = 1e-3
 """A constant term of the recording's own is printed where it explains this share more."""
 
@@ -50,12 +58,15 @@ def run(arguments: argparse.Namespace) -> int:
         RunExistsError: The picture exists.
     """
     refuse_existing(arguments.picture, 'file')
+    if arguments.picture is not None:
+        require_folder(arguments.picture)
     whole_run = read_recording(arguments.run, arguments.namespace)
     c = _configuration(arguments, whole_run)
     data = choose_axis(whole_run, arguments.axis if whole_run.axes else None)
     if knows_others(c):
         raise ConfigurationError('plant.model', c.plant.name, 'moves several axes together: '
                                  'must be of one axis to be predicted alone')
+    other = _other_units(c, data)
     with stage('simulating'):
         found = {length: predict(data, c, length) for length in LENGTHS}
         own = with_own_constant(data, c)
@@ -66,6 +77,8 @@ def run(arguments: argparse.Namespace) -> int:
     print_lines(prediction_lines(found, c))
     if own is not None:
         print_lines(_own_lines(own, whole, predict(data, own[0]), c))
+    if other:
+        print_lines([f'note: {other}'])
     if whole.lost:
         print_lines([f'note: {whole.lost} samples beside holes are not predicted'])
     note_run(data)
@@ -84,13 +97,31 @@ def _configuration(arguments: argparse.Namespace, data: RunData) -> Configuratio
         ConfigurationError: Neither the run nor --config has one.
     """
     if arguments.config is not None:
-        return one_axis(load_configuration(arguments.config, arguments.overrides,
-                                           arguments.namespace or ''), arguments.axis)
+        namespace = arguments.namespace or ''
+        found = load_configuration(arguments.config, arguments.overrides, namespace)
+        given = flat_parameters(arguments.config, arguments.overrides, namespace)
+        if not any('plant' in key.split('.') for key in given):
+            raise ConfigurationError('--config', arguments.config, 'must have a section plant')
+        return one_axis(found, arguments.axis)
     flat = base_configuration(choose_axis(data, arguments.axis))
     if not any(key.startswith('plant.') for key in flat):
         raise ConfigurationError('--config', '', 'must name the configuration of the plant: the '
                                  'run states none')
     return Configuration.from_untrusted(flat, flat_parameters(None, arguments.overrides), False)
+
+
+def _other_units(c: Configuration, data: RunData) -> str:
+    """Return how the units of a plant's states differ from those of the run; '' = they do not."""
+    flat = base_configuration(data)
+    if not any(key.startswith('plant.') for key in flat):
+        return ''
+    try:
+        own = Configuration.from_untrusted(flat, {}, False).plant.state_units
+    except ConfigurationError:      # a plant of a package that this run is not to import
+        return ''
+    ours = c.plant.state_units
+    return '' if ours == own else (f'states of plant {c.plant.name} are in {", ".join(ours)}, '
+                                   f'those of the run in {", ".join(own)}')
 
 
 def prediction_lines(found: Mapping[float, Prediction], c: Configuration) -> Iterator[str]:
@@ -118,6 +149,8 @@ def percent(share: float) -> str:
         return 'it does not move'
     if math.isinf(share):
         return 'diverges'
+    if share < WORST:
+        return f'{100.0 * share:.2g} %'
     left = 100.0 * (1.0 - share)
     digits = 2 if left >= 0.1 or left < 1e-9 else min(6, math.ceil(-math.log10(left)) + 1)
     return f'{100.0 * share:.{digits}f} %'

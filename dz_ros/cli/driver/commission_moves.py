@@ -94,7 +94,7 @@ def sensor_step(state: State) -> Outcome:
         late = f'commands act {delay} samples late'
     except RecordingError as error:
         late = f'the pulses do not show the delay ({error}), the identification will'
-    noise = ', '.join(f'{value:.2g} {units[0]}' for value, unit in
+    noise = ', '.join(f'{value:.2g} {unit}' for value, unit in
                       zip(pulses.noise[:samples.measured], units, strict=False))
     steps = f'one step of the position is {step:.4g} {units[0]}' if step else (
         'the position shows no steps')

@@ -80,10 +80,11 @@ def plant_lines(fitted: Fit | None, c: Configuration, counted: bool) -> Iterator
         yield f'  that is {", ".join(changed)}'
     right, left = fitted['b·m_r'], fitted['b·m_l']
     both = 0.5 * (right.value + left.value)
-    if not counted or abs(right.value - left.value) > right.half_width + left.half_width:
+    if not (counted and right.seen and left.seen) or (
+            abs(right.value - left.value) > right.half_width + left.half_width):
         return
     ways = [', '.join(f'{name.partition(".")[2]} = {value:.4g}' for name, value in keys.items())
-            for keys in parameters_with_gain(c.plant, fitted.a, both)]
+            for keys in parameters_with_gain(c.plant, fitted.a, both) if keys]
     if ways:
         yield f'  were it without a dead-zone, of slope 1: {"; or ".join(ways)}'
 

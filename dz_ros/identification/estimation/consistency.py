@@ -200,7 +200,8 @@ def _check_rate(slow: Array, fast: Array, pieces: Sequence[tuple[int, int]], per
     """Compare the change of a signal with the integral of what is recorded as its rate.
 
     Returns:
-        How many times too large the rate is; 1 where chance explains it or nothing shows.
+        How many times too large the rate is, by 9 % at most; 1 where chance explains it or
+        nothing shows.
     """
     if len(pieces) < LEAST_WINDOWS:
         return 1.0
@@ -229,7 +230,8 @@ def _check_rate(slow: Array, fast: Array, pieces: Sequence[tuple[int, int]], per
     if abs(beta) > max(OFFSET * largest, SIGMAS * errors[1]):
         raise RecordingError(f'{fast_name} has an offset of {-beta / alpha:.3g} against the rate '
                              f'of {slow_name}')
-    return 1.0 / alpha if abs(alpha - 1.0) > BY_CHANCE * errors[0] else 1.0
+    shows = BY_CHANCE * errors[0] < abs(alpha - 1.0) and errors[0] < SCALE
+    return 1.0 / alpha if shows else 1.0
 
 
 def _shifts(period: float) -> list[int]:

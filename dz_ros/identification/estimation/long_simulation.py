@@ -94,7 +94,8 @@ def refine_by_simulation(fitted: Fit, samples: Samples, c: Configuration, delay:
         for start, x in zip(predict.starts, predict.measured, strict=True):
             start[-1] = slope_at(x[:SLOPE + 1, -1], 0, samples.period)
     right, left = fitted.estimates[-2:]
-    one = abs(right.value - left.value) <= right.half_width + left.half_width
+    one = right.seen and left.seen and abs(right.value - left.value) <= (
+        right.half_width + left.half_width)
     lengths = [(rows[1] - rows[0] + 1) * samples.period for rows in parts]
 
     def parameters(q: Array) -> Array:

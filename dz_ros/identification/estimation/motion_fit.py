@@ -167,7 +167,7 @@ def _shows_dead_zone(stack: Stack, line: Line, noise: float) -> bool:
         return False
     alike = float(np.median(line.common / np.maximum(line.errors[0], 1e-300)))
     count = max(PER_STRETCH * stack.count, len(stack.v) / max(1.0, alike) ** 2)
-    return count * (ratio ** 2 - 1.0) > CHANCE
+    return count * (ratio * ratio - 1.0) > CHANCE
 
 
 def _check_command_sign(stack: Stack) -> None:

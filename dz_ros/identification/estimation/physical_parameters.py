@@ -156,7 +156,7 @@ def _newton(constants: Any, q: Array, scale: Array, target: Array,
             step[free] = np.linalg.pinv(slopes[:, free]) @ rest
             q = _shorter(constants, q, step * scale)
         return q if np.abs((target - constants(q)) / size).max() < CLOSE else None
-    except ConfigurationError:
+    except (ConfigurationError, ArithmeticError):
         return None
 
 
@@ -164,7 +164,7 @@ def _shorter(constants: Any, q: Array, step: Array) -> Array:
     """Return q + step, by half a step or less where that is no allowed parameter.
 
     Raises:
-        ConfigurationError: However short, it is not allowed.
+        ConfigurationError, ArithmeticError: However short, it is not allowed.
     """
     for _ in range(HALVINGS):
         try:
