@@ -380,6 +380,29 @@ def test_a_stop_gives_the_safe_command_in_the_same_sample():
     assert driver.commanded[799:] == [('safe', 0.0), 'disabled', 'closed']
 
 
+@pytest.mark.parametrize('blind', [False, True])
+def test_the_recording_of_what_was_stopped_ends_with_the_safe_command(blind):
+    asked, kept = [], []
+
+    def stopped():
+        asked.append(0)
+        return 'e-stop pressed' if len(asked) == 301 else ''
+
+    class Blind(Watched):
+        """A device whose measurement is missing in the very sample of the stop."""
+
+        def measure(self):
+            found = super().measure()
+            return None if blind and len(asked) == 300 else found
+
+    session({}, stopped=stopped, driver=Blind, kept=kept.append)
+    run = to_run(kept[0], Configuration.from_flat(SERVO), 10 ** 18)
+    command, state = run.channels['command'], run.channels['state']
+    assert command['v'][-1] == 0.0 != command['v'][-2]
+    assert command['seq'][-1] == 300
+    assert state['seq'][-1] == 300 - blind
+
+
 def test_a_safe_command_of_its_own_is_what_rests():
     driver, _, samples = session({'safety.safe_command': 0.1})
     assert samples.v[0] == 0.1

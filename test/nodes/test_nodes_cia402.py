@@ -5,6 +5,7 @@ Over 300 lines: one drive and three of one loop share the bus and what is awaite
 """
 
 from collections import Counter
+import re
 import signal
 
 import numpy as np
@@ -128,7 +129,10 @@ def run_until(followed, processes, name, settings, folder, before=lambda: None):
         path = folder / f'run{attempt}'
         loop = processes(*DZ, 'run', name, *settings, *UNSHAPED, '--set', 'loop.duration=6.0',
                          '--record', path, '--quiet')
-        assert loop.wait(180.0) == 0, loop.output
+        if loop.wait(180.0) and attempt < TRIES - 1:    # the drives' process had stalled
+            assert re.search('node [0-9]+: no answer within', loop.output), loop.output
+            continue
+        assert loop.wait() == 0, loop.output
         data = read_run(path)
         if followed(data):
             break
@@ -331,13 +335,18 @@ def test_three_drives_track_in_one_loop_with_one_sync(processes, drives, bus, se
                                                       tmp_path):
     machine, counts = load_configuration('cia402_axes'), []
 
+    def begin():
+        for item in counts:
+            item.stop()
+        counts.append(Count(bus))
+
     def followed(data):
         counts[-1].stop()
         return all(late_error(machine.axis(name).trajectory, run) < 0.02
                    for name, run in each_axis(data).items())
 
     data = run_until(followed, processes, 'cia402_axes', settings, tmp_path,
-                     lambda: counts.append(Count(bus)))
+                     begin)
     count = counts[-1]
     assert data.axes == tuple(AXES)
     for name, run in each_axis(data).items():
@@ -408,9 +417,10 @@ def test_a_killed_drive_of_several_is_named_and_a_new_one_is_driven(processes, b
 
 def test_one_axis_is_identified_while_the_other_drives_stay_disabled(processes, drives, settings,
                                                                      tmp_path):
-    out, tries = tmp_path / 'found', 0
+    tries = 0
     for _ in range(TRIES):
         tries += 1
+        out = tmp_path / f'found{tries}'
         found = processes(*DZ, 'driver', 'identify', 'cia402_axes', '--axis', 'shoulder',
                           *settings, '--travel', '0.6', '--speed', '1.0', '--effort', '3.0',
                           '--repeats', '4', '--ramp', '2', '--pause', '0.3', '--yes', '--out', out,

@@ -185,5 +185,6 @@ def _loop(c: Configuration, experiment: Experiment, driver: HostedDriver | Besid
                          experiment.kind))
             seq += 1
     finally:
-        if over < LAST and x is not None:       # the sample in which it was stopped
-            rows.append((seq, x, limiter.safe(seq * c.loop.period), -1, 'rest'))
+        if over < LAST and (rows or x is not None):     # the sample in which it was stopped
+            rows.append((seq, nothing if x is None else x, limiter.safe(seq * c.loop.period), -1,
+                         'rest'))
