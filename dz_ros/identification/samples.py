@@ -132,28 +132,21 @@ def to_run(samples: Samples, c: Configuration, start_ns: int) -> RunData:
         c: With which it was made.
         start_ns: When it began [ns since the epoch].
     """
+    seq, t = samples.seq.astype(float), samples.t
+    times = start_ns + np.round(t * 1e9).astype(np.int64)
     good = np.isfinite(samples.x).all(axis=1)
-    seq, t = samples.seq[good].astype(float), samples.t[good]
-
-    def ns(at: Array) -> NDArray[np.int64]:
-        return start_ns + np.round(at * 1e9).astype(np.int64)
-
-    times = ns(t)
-    before = np.concatenate([[-1.0], seq])[:-1]     # none, where nothing was measured
-    stamps = np.concatenate([[0.0], t])[:-1]
-    state = np.column_stack([seq, t, samples.x[good], before, stamps, np.zeros(len(seq))])
-    # A command without a measurement holds the one before, but for the last, which ends the moves.
-    sent = good.copy()
-    sent[-1:] = True
-    seqs, instants = samples.seq[sent].astype(float), samples.t[sent]
-    given = ns(instants)
-    command = np.column_stack([seqs, instants, samples.v[sent], seqs, instants,
-                               np.zeros(len(seqs))])
+    sent = good.copy()      # without a measurement it holds the one before, but for the last,
+    sent[-1:] = True        # which ends the moves
+    before = np.concatenate([[-1.0], seq[good]])[:-1]       # none, where nothing was measured
+    stamps = np.concatenate([[0.0], t[good]])[:-1]
+    state = np.column_stack([seq[good], t[good], samples.x[good], before, stamps,
+                             np.zeros(len(before))])
+    command = np.column_stack([seq, t, samples.v, seq, t, np.zeros(len(seq))])[sent]
     begins = np.flatnonzero(np.diff(samples.repeat, prepend=-2) != 0).tolist()
-    events = tuple((start_ns + round(float(samples.t[row]) * 1e9), 'identify', RepeatEvent(
+    events = tuple((int(times[row]), 'identify', RepeatEvent(
         'identify', int(samples.repeat[row]), int(samples.seq[row])).to_json()) for row in begins)
-    return RunData({'state': Channel(State.labels(c.plant.order), state, times, times),
-                    'command': Channel(Command.labels(), command, given, given)},
+    return RunData({'state': Channel(State.labels(c.plant.order), state, times[good], times[good]),
+                    'command': Channel(Command.labels(), command, times[sent], times[sent])},
                    c.to_flat(), {'mode': 'identification'}, events)
 
 

@@ -349,8 +349,7 @@ def test_three_drives_track_in_one_loop_with_one_sync(processes, drives, bus, se
         return all(late_error(machine.axis(name).trajectory, run) < 0.02
                    for name, run in each_axis(data).items())
 
-    data = run_until(followed, processes, 'cia402_axes', settings, tmp_path,
-                     begin)
+    data = run_until(followed, processes, 'cia402_axes', settings, tmp_path, begin)
     count = counts[-1]
     assert data.axes == tuple(AXES)
     for name, run in each_axis(data).items():
