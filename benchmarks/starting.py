@@ -74,6 +74,33 @@ def starts_of_loops(times: int) -> list[Row]:
     return rows
 
 
+COMPILED = """
+import time
+import dz_ros as dz
+configuration = dz.load('wang2004')
+begin = time.perf_counter()
+dz.simulate(configuration, compiled=True)
+print(time.perf_counter() - begin)
+"""
+
+
+def compiled_calls(times: int) -> list[Row]:
+    """Return how long a process's first compiled call takes, nothing kept and kept before."""
+    first, later = [], []
+    for _ in range(times + 1):
+        with tempfile.TemporaryDirectory() as folder:
+            for found in (first, later):
+                done = subprocess.run([sys.executable, '-c', COMPILED], cwd=ROOT, check=True,
+                                      env=ENVIRONMENT | {'DZ_ROS_CACHE': folder}, text=True,
+                                      stdout=subprocess.PIPE)
+                found.append(float(done.stdout))
+    return [Row(what, statistics.median(found[1:]), target, 's',
+                detail=f'median of {times}, {min(found[1:]):.2f} to {max(found[1:]):.2f} s')
+            for what, found, target in (
+                ("`dz.simulate('wang2004', compiled=True)`, nothing compiled before", first, 3.0),
+                ('the same in the next process', later, None))]
+
+
 def brought() -> list[str]:
     """Return which heavy packages `import dz_ros` loads."""
     code = f'import sys, dz_ros; print(*(n for n in {HEAVY!r} if n in sys.modules))'
@@ -96,6 +123,8 @@ def measure(quick: bool = False) -> list[Row]:
     found = seconds(('-c', "import dz_ros as dz; dz.simulate('wang2004')"), times)
     rows.append(Row('a script: `import dz_ros`, 20 s simulated', statistics.median(found), 0.5,
                     's', detail=f'median of {times}, {min(found):.3f} to {max(found):.3f} s'))
+    if find_spec('numba') is not None:
+        rows += compiled_calls(3 if quick else 5)
     if find_spec('rclpy') is not None:
         rows += starts_of_loops(times)
     heavy = brought()

@@ -19,6 +19,9 @@ from dz_ros.errors import MissingLabelError
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
+OWN_PERIOD = 1e-4
+"""Share by which the samples' own period must differ from the stated one to be taken instead."""
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -143,3 +146,18 @@ def from_runs(runs: Mapping[str, Run], configuration: Configuration,
         values = np.column_stack([data.channels[topic].values for data in each.values()])
         channels[topic] = replace(channel, values=values, axes=tuple(each))
     return RunData(channels, configuration.to_flat(), first.info)
+
+
+def own_period(seq: Array, t: Array, stated: float) -> float:
+    """Return the period of samples [s]: the stated one where theirs does not differ from it.
+
+    Args:
+        seq: Their numbers, ascending, shape (N,).
+        t: Their times [s], shape (N,).
+        stated: Period that they are to have [s].
+    """
+    apart = len(seq) // 4           # a jump of the clock is in a third of the pairs, not in half
+    if not apart:
+        return stated
+    own = float(np.median((t[apart:] - t[:-apart]) / (seq[apart:] - seq[:-apart])))
+    return own if own > 0.0 and abs(own / stated - 1.0) > OWN_PERIOD else stated

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.dataset import Channel, RunData
+from dz_ros.core.dataset import Channel, own_period, RunData
 from dz_ros.core.events import of_kind, RepeatEvent
 from dz_ros.core.records import Command, State
 from dz_ros.errors import DzRosError, RecordingError
@@ -173,10 +173,10 @@ def from_run(run: RunData, c: Configuration, delay: int = 0) -> Samples:
     if x.shape[1] != c.plant.order:
         raise RecordingError(f'the run has {x.shape[1]} states, plant.model = {c.plant.name!r} '
                              f'has order {c.plant.order}')
-    period = c.loop.period
+    stamps = state['stamp'][rows]
+    period = own_period(seq.astype(float), stamps, c.loop.period)
     found = Samples(seq, x, np.zeros(len(seq)), _repeats(run, seq, period), ('run',) * len(seq),
                     _measured(run, c), period)
-    stamps = state['stamp'][rows]
     if next(of_kind(run.events, RepeatEvent), None) is not None:
         found = found.without_short_holes()     # what acts in a hole is known from the arrivals
         stamps, seq = np.interp(found.seq, seq, stamps), found.seq

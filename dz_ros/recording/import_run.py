@@ -2,10 +2,11 @@
 """A run as the recorder writes it, from columns of another tool's file (ours).
 
 Each row is a sample at its own time, numbered by the rows' own period, which differs from
-1/loop.rate by no more than 2 %: rows that come early, late or in a burst are neighbours all the
-same. Resampled, sample k is at k T after the first, T = 1/loop.rate; x and x_d are taken linearly
-between two rows, the command is held. Where rows are missing, which two further apart than 1.5 of
-the file's own T show, the samples between are a gap: they are not made up.
+1/loop.rate by no more than 2 % and is that of the run's configuration: rows that come early, late
+or in a burst are neighbours all the same. Resampled, sample k is at k T after the first, T =
+1/loop.rate; x and x_d are taken linearly between two rows, the command is held. Where rows are
+missing, which two further apart than 1.5 of the file's own T show, the samples between are a gap:
+they are not made up.
 
 A velocity that is not given is observed from what is measured (`dz_ros.core.observers`), with the
 acceleration of the reference where there is one; `info['observed']` names it, and identification
@@ -27,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.dataset import Channel, RunData
+from dz_ros.core.dataset import Channel, own_period, RunData
 from dz_ros.core.design.observation import observer_of
 from dz_ros.core.observers.base import Observer
 from dz_ros.core.records import Command, Reference, SEQ_LIMIT, State
@@ -144,6 +145,9 @@ def import_run(columns: Mapping[str, Column], sources: Mapping[str, Source], c: 
                                           "the law's terms", 'truth', 'round trips']))
     run = _as_run(seq, t, np.column_stack(x), signals.get('v'), reference, n, start_ns)
     configuration = {**c.to_flat(), 'loop.duration': float(t[-1])}
+    if own_period(seq, t, c.loop.period) != c.loop.period:
+        configuration['loop.rate'] = float(f'{1.0 / own_period(seq, t, c.loop.period):.6g}')
+        notes.append(f'loop.rate = {configuration["loop.rate"]:g} is that of the rows')
     if 'observed' in info and 'driver.measured' in configuration:
         # A loop around this device observes it as well: gains and rules are to count that in.
         configuration['driver.measured'] = n - 1

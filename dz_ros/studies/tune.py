@@ -33,7 +33,7 @@ Over 300 lines: two families of laws with their reasons.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -205,7 +205,7 @@ def _from_rules(c: Configuration, design: Design, delta: float) -> dict[str, tup
     k_d = min(gains.k_d, steepest / 3.0)
     phi = (1.0 / high / (1.0 + WIDER), (1.0 + WIDER) / low)
     start = 0.5 * (1.0 / high + 1.0 / low)
-    theta = [tuple(sorted((a * phi[0], a * phi[1]))) for a in c.plant.a]
+    theta = _of_forces(c, [sorted((a * phi[0], a * phi[1])) for a in c.plant.a])
     rate = ADAPTATION * k_d / (c.loop.period * _power(c))
     return {f'controller.{key}': item for key, item in {
         'k_star': (k_star, f'rho/m_min = {dead:.4g}{steps} and {delta:.4g} of disturbance'
@@ -231,6 +231,15 @@ def _from_rules(c: Configuration, design: Design, delta: float) -> dict[str, tup
     }.items() if key not in (('epsilon',) if derived else ('margin', 'beta', 'design_delay'))}
 
 
+def _of_forces(c: Configuration, boxes: Sequence[Sequence[float]]) -> list[Sequence[float]]:
+    """Return bounds of θ̂_i in which a constant force has either sign, up to the friction."""
+    found = list(boxes)
+    for place in c.plant.friction[1:]:
+        most = max(map(abs, (*boxes[place], *boxes[c.plant.friction[0]])))
+        found[place] = (-most, most)
+    return found
+
+
 def _with_observer(c: Configuration, design: Design, delta: float,
                    effort: float) -> tuple[Configuration, dict[str, str]]:
     """Return the configuration with the gains of `robust_eso` by its rules, and why.
@@ -253,7 +262,9 @@ def _with_observer(c: Configuration, design: Design, delta: float,
     quiet = noise > NOISE * k_star and not observed     # nothing measures x^(n−1) then
     if quiet:
         gains = gains_by_rule(*common, quiet=True)
-    gains |= {'k_star': k_star, 'theta_0': theta, 'phi_0': middle}
+    boxes = _of_forces(c, list(zip(gains['theta_min'], gains['theta_max'], strict=True)))
+    gains |= {'k_star': k_star, 'theta_0': theta, 'phi_0': middle,
+              'theta_min': [low for low, _ in boxes], 'theta_max': [high for _, high in boxes]}
     limit = c.plant_settings.command_limit
     if limit > 0.0:
         gains |= {'v_max': limit}

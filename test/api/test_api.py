@@ -6,6 +6,7 @@ Over 300 lines: all public names, on runs that are made once.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import os
 from pathlib import Path
 import re
 import subprocess
@@ -304,3 +305,18 @@ def test_systems_that_are_no_such_plant_are_refused(rates, words):
     system = control.nlsys(lambda t, x, u, p: rates(x, u), None, inputs=1, states=2, name='s')
     with pytest.raises(ConfigurationError, match=words):
         dz.from_control(system)
+
+
+def test_a_script_that_sweeps_without_a_guard_is_run_once(tmp_path):
+    script = tmp_path / 'script.py'
+    script.write_text(f"""
+import dz_ros as dz
+print('begins')
+rows = dz.sweep(dz.load('wang2004', {SHORT!r}), {{'controller.lambda': [1, 2, 4]}}, jobs=2)
+print([row['controller.lambda'] for row in rows])
+""")
+    environment = {**os.environ, 'PYTHONPATH': str(Path(__file__).parents[2])}
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False,
+                          env=environment)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert done.stdout == 'begins\n[1, 2, 4]\n'

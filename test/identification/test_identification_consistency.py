@@ -219,13 +219,54 @@ def test_commands_that_contradict_the_motion_are_named(loop, change, reported):
         found(c, changed(run, 2, change, 'command'))
 
 
-@pytest.mark.parametrize(('share', 'burst'), [(0.05, 1), (0.2, 1), (0.1, 50)])
-def test_lost_messages_are_named(loop, share, burst):
+@pytest.mark.parametrize('share', [0.05, 0.2])
+def test_lost_messages_are_named(loop, share):
     c, run = loop
     with pytest.raises(RecordingError, match=r'\d+% of the states are lost'):
-        found(c, without(run, share, burst=burst))
+        found(c, without(run, share))
     with pytest.raises(RecordingError, match=r'\d+% of the commands that acted are lost'):
-        found(c, without(run, share, 'command', burst))
+        found(c, without(run, share, 'command'))
+
+
+def test_states_lost_together_cost_no_more_than_what_they_would_have_shown(loop):
+    c, run = loop
+    rest = found(c, without(run, 0.1, burst=50))
+    assert re.search('10% of the states are lost', '; '.join(rest.notes))
+    for bound, truth in zip(rest.bounds.values(), TRUTH, strict=True):
+        assert bound.low <= truth <= bound.high
+    with pytest.raises(RecordingError, match='10% of the commands that acted are lost'):
+        found(c, without(run, 0.1, 'command', 50))
+
+
+@pytest.mark.parametrize('late', [1, 4, -2])
+def test_a_velocity_that_comes_late_is_noted(loop, late):
+    c, run = loop
+    noted = '; '.join(found(c, changed(run, V, lambda v: np.roll(v, late))).notes)
+    number, way = re.search(r'comes ([\d.]+) ms (behind|before) the rate of x0', noted).groups()
+    assert float(number) == pytest.approx(5.0 * abs(late), abs=1.0)
+    assert way == ('behind' if late > 0 else 'before')
+    assert 'comes' not in '; '.join(found(c, run).notes)
+
+
+def test_a_velocity_in_coarse_steps_does_not_show_a_dead_zone_beside_friction(loop):
+    c, run = loop
+    fine = found(c, run)
+    coarse = found(c, changed(run, V, lambda v: np.round(v / 0.03) * 0.03))
+    assert (fine.friction_counted, coarse.friction_counted) == (False, True)
+    assert coarse.bounds['b_r'].high > TRUTH[0]
+    assert coarse.bounds['b_l'].low < TRUTH[1]
+
+
+@pytest.mark.parametrize('own', [1.0, 1.018, 0.982])
+def test_times_of_the_states_are_their_period(loop, own):
+    c, run = loop
+    for channel, labels in (('state', ('stamp', 'echo_stamp')), ('command', ('stamp',
+                                                                             'echo_stamp'))):
+        for place, label in enumerate(run.channels[channel].labels):
+            if label in labels:
+                run = changed(run, place, lambda t: own * t, channel)
+    assert from_run(run, c).period == pytest.approx(0.005 * own, rel=1e-9)
+    assert (from_run(run, c).period == c.loop.period) == (own == 1.0)
 
 
 def test_a_rate_that_is_not_the_run_s_is_named(loop):

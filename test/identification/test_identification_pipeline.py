@@ -143,6 +143,11 @@ def test_tolerance_factor_is_the_tabulated_one(count, content, factor):
     assert tolerance_factor(count, content, 0.95) == pytest.approx(factor, rel=3e-3)
 
 
+def test_bounds_of_values_that_agree_are_not_without_width():
+    bound = parameter_bound('b_r', np.full(5, 0.5) - 1e-6, 0.0, 0.0)
+    assert (bound.low, bound.high) == pytest.approx((0.4995, 0.5005), rel=1e-5)
+
+
 @pytest.mark.parametrize(('name', 'sign'), [('b_r', -1.0), ('b_l', 1.0)])
 def test_a_break_point_on_the_wrong_side_is_refused(name, sign):
     values = sign * np.array([0.50, 0.51, 0.49, 0.50, 0.52])

@@ -199,6 +199,14 @@ def test_only_rows_that_are_missing_are_gaps(name):
     assert any('share a sample' in note for note in done.notes) == (name == 'rows twice')
 
 
+@pytest.mark.parametrize('share', [0.0, 0.001, 0.018, -0.018])
+def test_the_run_has_the_rate_of_its_rows(share):
+    t = np.arange(1000) * PERIOD * (1.0 + share)
+    done = import_run(*table(t, x0=np.sin(t), v=np.cos(t)), axis(), False, 0)
+    assert done.run.configuration['loop.rate'] == pytest.approx(1.0 / t[1], rel=1e-5)
+    assert any('is that of the rows' in note for note in done.notes) == (share != 0.0)
+
+
 @pytest.mark.parametrize('factor', [1e-3, 1e3])
 def test_resampling_refuses_times_of_another_unit(factor):
     t, x, v = motion()

@@ -166,6 +166,11 @@ def test_projection_contains_the_true_parameters():
     assert gains.rho_0 == pytest.approx(gains.k_star - 0.875 / 0.85)
 
 
+def test_projection_lets_a_constant_force_have_either_sign_up_to_the_friction():
+    gains = tune(load_configuration('axis', ['plant.constant_force=0.0'])).after.law.gains
+    assert gains.theta_min[2] == -gains.theta_max[2] == -gains.theta_max[1]
+
+
 def test_a_law_without_a_robust_gain_is_refused():
     with pytest.raises(ConfigurationError, match='has no k'):
         tune(Configuration.from_flat({'controller.law': 'pid'}))

@@ -10,7 +10,8 @@ confidence they hold 90 % of all the values the parameter takes while it goes on
 
 s: standard deviation of the p_j; k for normally distributed, independent p_j; 16 repeats have
 k = 2.44. e: standard error of their mean, which also holds what all repeats have in common, the
-constants a_i; t = t_{0.975, R−1}.
+constants a_i; t = t_{0.975, R−1}. They are at least ± `LEAST` p̄: values that agree to six digits
+show no more than that, since no model of a device is that good.
 
 What that means, and what not:
 
@@ -42,6 +43,8 @@ from dz_ros.errors import RecordingError
 Array = NDArray[np.float64]
 
 CONTENT, CONFIDENCE = 0.9, 0.95
+LEAST = 1e-3
+"""Share of a parameter by which its bounds are away from it at least."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +122,7 @@ def parameter_bound(name: str, values: Array, noise: float, common: float) -> Bo
     spread = float(values.std(ddof=1))
     half = math.hypot(tolerance_factor(count) * spread, t.ppf(0.975, count - 1) * common)
     middle = float(values.mean())
+    half = max(half, LEAST * abs(middle))
     low, high = middle - half, middle + half
     if name == 'b_r':
         low = max(low, 0.0)

@@ -3,10 +3,10 @@
 
 Commands are taken to act after the whole number of samples with which the equation leaves the
 least. Friction and dead-zone add up while a device is driven; only a command within the dead-zone,
-or against the motion, separates them. So friction is *counted in* (`least_squares`) unless a
-dead-zone beside it explains more than chance would: else any share of either would be an answer,
-with bounds that know nothing of the others. A device that accelerates against the command is
-refused; compared are
+or against the motion, separates them. So friction is *counted in* (`least_squares`) unless a dead-
+zone beside it explains more than chance would, of a signal that is not visibly rounded: else any
+share of either would be an answer, with bounds that know nothing of the others. A device that
+accelerates against the command is refused; compared are
 
     x^(n−1)  with  −Σ a_i ∫Y_i + κ ∫v                   κ > 0
 """
@@ -21,6 +21,7 @@ import numpy as np
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.errors import RecordingError
+from dz_ros.identification.estimation.consistency import rounding
 from dz_ros.identification.estimation.least_squares import Line, residual_without_zone, solve
 from dz_ros.identification.estimation.sensor import measurement_noise
 from dz_ros.identification.estimation.stretches import Cutter, Stack, Stretch
@@ -130,9 +131,7 @@ def fit_motion(found: list[Stretch], samples: Samples, c: Configuration,
         line = solve(stack)
     except RecordingError as error:
         problem = error
-    noise = noise_of(samples)
-    if line is not None and (
-            not friction or (not line.at_limit and _shows_dead_zone(stack, line, noise))):
+    if line is not None and (not friction or _shows_dead_zone(stack, line, samples, c)):
         return MotionFit(found, stack, line, delay, False)
     if not friction:
         raise problem
@@ -148,7 +147,7 @@ def noise_of(samples: Samples) -> float:
     return measurement_noise(samples.x[:, samples.measured - 1])
 
 
-def _shows_dead_zone(stack: Stack, line: Line, noise: float) -> bool:
+def _shows_dead_zone(stack: Stack, line: Line, samples: Samples, c: Configuration) -> bool:
     """Return whether a dead-zone beside friction explains more than chance would (ours).
 
     A command that never enters the dead-zone while the device moves shows the sum of friction and
@@ -156,14 +155,17 @@ def _shows_dead_zone(stack: Stack, line: Line, noise: float) -> bool:
     parameters more of an F-test against none. Neighbouring samples err alike, so each counts for
     less than one: by how much the errors of stretches exceed those of white noise. Where the
     residual is not noise, the model of friction itself lacks something, which a dead-zone may
-    seem to explain; then it has to explain most of the residual.
+    seem to explain; then it has to explain most of the residual. Visible rounding is no noise: it
+    bends a slow motion as a dead-zone does.
     """
+    if line.at_limit or rounding(samples, c):
+        return False
     inside = np.array([np.mean(v * side < edge * side) for side, edge in zip(
         (1.0, -1.0), line.zone[0, :2], strict=True) if len(v := stack.v[stack.side == side])])
     if inside.min(initial=1.0) < ENTERED:
         return False
     ratio = residual_without_zone(stack) / max(line.residual, 1e-300)
-    if line.residual > MISFIT * noise and ratio < WORTH:
+    if line.residual > MISFIT * noise_of(samples) and ratio < WORTH:
         return False
     alike = float(np.median(line.common / np.maximum(line.errors[0], 1e-300)))
     count = max(PER_STRETCH * stack.count, len(stack.v) / max(1.0, alike) ** 2)
