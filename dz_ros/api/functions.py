@@ -14,8 +14,10 @@ import numpy as np
 
 from dz_ros.api.results import AxesComparison, Comparison, Findings, Run
 from dz_ros.core.configuration import allow_named, Configuration, SECTIONS, SELECTORS
-from dz_ros.core.dataset import from_run
+from dz_ros.core.dataset import from_runs
 from dz_ros.core.loop.compiled import simulate_fast
+from dz_ros.core.loop.coupled import simulate_axes
+from dz_ros.core.loop.finite import require_finite, simulate_finite
 from dz_ros.core.loop.offline import simulate as simulate_plain
 from dz_ros.errors import ConfigurationError
 from dz_ros.files.configurations import flat_parameters
@@ -62,27 +64,29 @@ def load(source: Source = None, overrides: Mapping[str, Any] | None = None,
 
 def simulate(source: Source = None, overrides: Mapping[str, Any] | None = None,
              compiled: bool | None = None, **keys: Any) -> Run:
-    """Run the closed loop offline.
+    """Run the closed loop offline; of several axes all of them.
 
     Args:
         source: As of `load`.
         overrides: As of `load`.
         compiled: Whether numba compiles the loop, which takes seconds the first time and is kept
             for later processes; the numbers are the same. None = for runs of more than `LONG`
-            samples, where numba is installed.
+            samples, where numba is installed. Axes that plant or law couple are not compiled.
         **keys: As of `load`.
 
     Raises:
         ConfigurationError: As of `load`.
-        OverflowError, ValueError: The loop diverged beyond what its functions can evaluate.
+        DivergedError: The loop diverged; with the time and the axis.
     """
     configuration = load(source, overrides, **keys)
     if compiled is None:
         compiled = configuration.loop.samples > LONG
     if compiled:
         keep_compiled()
-    run = simulate_fast(configuration) if compiled else simulate_plain(configuration)
-    return Run(from_run(run))
+    one = simulate_fast if compiled else simulate_plain
+    runs = simulate_axes(configuration, lambda item, memory: simulate_finite(item, memory, one))
+    require_finite(runs)        # of coupled axes
+    return Run(from_runs(runs, configuration))
 
 
 def read(path: str | os.PathLike[str], namespace: str | None = None,

@@ -21,6 +21,7 @@ from dz_ros.errors import ConfigurationError, MissingDependencyError
 from dz_ros.report.compare import Comparison as _Comparison
 from dz_ros.report.compare import overlaid
 from dz_ros.report.report import pictures
+from dz_ros.report.verdict import judge
 from dz_ros.report.view import View
 from dz_ros.runs.axes import axis_run, require_one
 from dz_ros.runs.metrics import Metrics
@@ -161,15 +162,16 @@ class Run:
         return len(first.view.rows.seq)
 
     def __repr__(self) -> str:
-        """Return one line: what ran, how long, how well; of several axes their names."""
+        """Return one line: what ran, how well, a failure; of several axes their names."""
         if self.axes:
             return f'<Run {f"{self.name}: " if self.name else ""}{spoken(self.axes)}>'
         setting, metrics = self.view.setting, self.metrics
         unit = f' {setting.unit("x")}'.removesuffix(' 1').rstrip()
         error = '' if metrics.error_max is None else f', max|x̃| {metrics.error_max:.4g}{unit}'
         name = f'{self.name}: ' if self.name else ''
+        failed = ''.join(f', FAILED: {item}' for item in judge(self.view).failures[:1])
         return (f'<Run {name}{setting.law or "?"} on {setting.plant or "?"}, {len(self)} samples, '
-                f'{self.view.rows.duration:.4g} s{error}>')
+                f'{self.view.rows.duration:.4g} s{error}{failed}>')
 
 
 @dataclass(frozen=True, repr=False)

@@ -3,17 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
-
-import numpy as np
 
 from dz_ros.cli.progress import stage
-from dz_ros.core.axes import spoken
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.loop.coupled import simulate_axes, simulate_together
-from dz_ros.core.loop.offline import Run, simulate
+from dz_ros.core.loop.finite import require_finite, simulate_finite
+from dz_ros.core.loop.offline import Run
 from dz_ros.errors import ConfigurationError, DivergedError, LoopError
 
 ADVICE = ('try a smaller controller.lambda, a larger controller.epsilon, a higher loop.rate or '
@@ -39,12 +36,12 @@ def simulate_machine(configuration: Configuration,
 def _coupled_offline(configuration: Configuration,
                      memories: Sequence[Sequence[float] | None]) -> dict[str, Run]:
     """Return what `simulate_machine` does, of axes that plant or law couple."""
-    with _simulating(configuration):
-        try:
+    try:
+        with _simulating(configuration):
             runs = simulate_together(configuration, memories)
-        except DivergedError as error:
-            raise LoopError(f'{error}: {ADVICE}') from error
-    _require_finite(runs)
+        require_finite(runs)
+    except DivergedError as error:
+        raise _advised(error) from error
     return runs
 
 
@@ -62,15 +59,9 @@ def simulate_offline(configuration: Configuration,
     """
     try:
         with _simulating(configuration):
-            run = simulate(configuration, memory=memory)
-    except (OverflowError, ValueError) as error:
-        if isinstance(error, ConfigurationError):
-            raise
-        with stage('searching the sample from which on the loop diverges'):
-            sample = _first_failing(configuration, memory)
-        raise _diverged(sample * configuration.loop.period) from error
-    _require_finite({'': run})
-    return run
+            return simulate_finite(configuration, memory)
+    except DivergedError as error:
+        raise _advised(error) from error
 
 
 @contextmanager
@@ -92,34 +83,5 @@ def _simulating(configuration: Configuration) -> Iterator[None]:
                                  f'{loop.samples} samples: must be shorter') from None
 
 
-def _require_finite(runs: Mapping[str, Run]) -> None:
-    """Refuse loops with numbers that are not finite; the axis is named that has the first one."""
-    found = []
-    for place, (name, run) in enumerate(runs.items()):
-        for array in (run.x, run.v[:, np.newaxis], run.terms):
-            bad = ~np.isfinite(array).all(axis=1)
-            if bad.any():
-                found.append((float(run.t[int(bad.argmax())]), place, name))
-    if found:
-        t, _, name = min(found)
-        raise _diverged(t, spoken([name]) if name else '')
-
-
-def _diverged(t: float, where: str = '') -> LoopError:
-    return LoopError(f'{DivergedError(t, where)}: {ADVICE}')
-
-
-def _first_failing(configuration: Configuration, memory: Sequence[float] | None) -> int:
-    """Return the first sample that cannot be computed, by bisection on shorter runs."""
-    period = configuration.loop.period
-    good, bad = 0, configuration.loop.samples
-    while bad - good > 1:
-        middle = (good + bad) // 2
-        try:
-            loop = replace(configuration.loop, duration=middle * period)
-            simulate(replace(configuration, loop=loop), memory=memory)
-        except (OverflowError, ValueError):
-            bad = middle
-        else:
-            good = middle
-    return bad
+def _advised(error: DivergedError) -> LoopError:
+    return LoopError(f'{error}: {ADVICE}')

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Verdict on a run: faults, losses, lateness, the guarantee, the recording (ours).
 
-A run fails where it ended in a latched fault or samples were lost. A planned end, an interrupt, an
-e-stop and a fault that was reset are facts, not failures.
+A run fails where it ended in a latched fault, samples were lost or its simulation diverged. A
+planned end, an interrupt, an e-stop and a fault that was reset are facts, not failures.
 """
 
 from __future__ import annotations
@@ -62,6 +62,10 @@ def judge(view: View) -> Verdict:
     lost = {name: count for name, count in missing.items() if count > 0}
     failures = [f'{node} ended in a latched fault at {time:.3f} s: {reason}'
                 for node, time, reason in latched_faults(view)]
+    finite = np.isfinite(view.rows.x).all(axis=1)
+    if view.setting.mode == 'offline' and not finite.all():
+        failures.append('the loop diverged, its numbers are no longer finite at t = '
+                        f'{view.rows.t[int(finite.argmin())]:g} s')
     if lost:
         failures.append('samples lost: ' + ', '.join(f'{count} of {name}'
                                                      for name, count in lost.items()))

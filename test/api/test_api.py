@@ -5,7 +5,7 @@ Over 300 lines: all public names, on runs that are made once.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import os
 from pathlib import Path
 import re
@@ -23,6 +23,7 @@ from dz_ros.core.loop.offline import simulate
 from dz_ros.core.plants.servo import Servo
 from dz_ros.errors import (
     ConfigurationError,
+    DivergedError,
     RecordingError,
     RunExistsError,
     UnknownNameError,
@@ -214,7 +215,7 @@ def test_of_several_axes_a_key_without_axis_changes_all_and_one_is_chosen():
     assert [item.law.gains.lambda_ for item in changed.each] == [3.0, 4.0]
     assert dz.load(machine).to_flat() == machine.to_flat()
     for work in (lambda: dz.sweep(machine, {'controller.lambda': [1.0, 2.0]}, jobs=1),
-                 lambda: dz.simulate(machine), lambda: dz.check(machine)):
+                 lambda: dz.check(machine)):
         with pytest.raises(ConfigurationError, match='must be one axis'):
             work()
     assert dz.simulate(machine.axis('b'), SHORT).configuration.law.gains.lambda_ == 2.0
@@ -320,3 +321,59 @@ print([row['controller.lambda'] for row in rows])
                           env=environment)
     assert (done.returncode, done.stderr) == (0, '')
     assert done.stdout == 'begins\n[1, 2, 4]\n'
+
+
+def test_the_first_example_of_the_page_is_a_script(tmp_path):
+    page = (Path(__file__).parents[2] / 'docs' / 'python.md').read_text(encoding='utf-8')
+    script = tmp_path / 'script.py'
+    script.write_text(page.partition('```python')[2].partition('```')[0], encoding='utf-8')
+    environment = {**os.environ, 'PYTHONPATH': str(Path(__file__).parents[2])}
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False,
+                          env=environment, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert done.stdout.count('<Run wang2004 on wang2004') == 1
+    assert len(dz.read(tmp_path / 'runs' / 'from_python')) == 4001
+
+
+@pytest.mark.parametrize('compiled', [None, True])
+def test_a_loop_that_diverges_is_one_error_with_the_time(compiled):
+    with pytest.raises(DivergedError, match=r'^the loop diverged, .* at t = 0\.03 s$') as found:
+        dz.simulate('wang2004', {'controller.lambda': 50}, compiled=compiled)
+    assert isinstance(found.value, dz.DzRosError)
+    machine = dz.load({'loop.axes': ['a', 'b'], **SHORT, 'axes.b.controller.lambda': 50.0})
+    with pytest.raises(DivergedError, match='axis b: the loop diverged'):
+        dz.simulate(machine, compiled=compiled)
+
+
+def test_a_mistake_in_a_class_is_no_divergence():
+    class Broken(Servo):
+        """Cannot be evaluated at all."""
+
+        name = 'broken'
+
+        @staticmethod
+        def regressors(x, p, out):
+            """Fail."""
+            raise ValueError('a mistake')
+
+    with pytest.raises(ValueError, match='a mistake'):
+        dz.simulate({'plant.model': Broken, **SHORT})
+
+
+def test_a_run_that_diverged_shows_that_it_failed():
+    run = dz.simulate('wang2004', SHORT)
+    values = run.data.channels['state'].values.copy()
+    values[100:, 2] = np.nan
+    state = replace(run.data.channels['state'], values=values)
+    broken = dz.Run(replace(run.data, channels={**run.data.channels, 'state': state}))
+    assert ('FAILED: the loop diverged, its numbers are no longer finite at t = 0.5 s'
+            in repr(broken))
+    assert 'FAILED' not in repr(run)
+
+
+@pytest.mark.parametrize('name', ['six_axes', 'two_link_arm'])
+def test_a_machine_is_simulated_as_its_axes(name):
+    run = dz.simulate(name, {'loop.duration': 0.5})
+    apart = simulate_axes(dz.load(name, {'loop.duration': 0.5}))
+    for axis in run.axes:
+        assert np.array_equal(run.axis(axis).v, apart[axis].v)

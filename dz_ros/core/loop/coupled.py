@@ -288,6 +288,8 @@ def simulate_axes(configuration: Configuration, simulate_one: Callable[..., Run]
     for (name, item), memory in zip(each, memories or (None,) * len(each), strict=True):
         try:
             found[name] = simulate_one(item, memory=memory)
+        except DivergedError as error:
+            raise DivergedError(error.t, spoken([name]) if name else '') from error
         except LoopError as error:
             raise LoopError(f'axis {name}: {error}' if name else str(error)) from error
     return found
