@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import cycle
 from typing import Any
 
@@ -30,6 +31,7 @@ from dz_ros.report.style import (
     styled,
 )
 from dz_ros.report.view import View
+from dz_ros.runs.metrics import while_active
 
 Array = NDArray[np.float64]
 
@@ -71,7 +73,11 @@ def signal_label(signal: Signal) -> str:
 
 
 def estimates(view: View, name: str = 'estimates') -> Picture | None:
-    """Return θ̂, φ̂ with their true values dashed where known; other signals in panels below."""
+    """Return θ̂, φ̂ with their true values dashed where known; other signals in panels below.
+
+    What is no estimate, since the law was inactive, is not drawn.
+    """
+    view = replace(view, rows=while_active(view.rows))
     rows = view.rows
     known = [item for item in view.signals if np.isfinite(rows.terms[item.name]).any()]
     estimated = [item for item in known if item.role is Role.ESTIMATE]

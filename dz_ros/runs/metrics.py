@@ -17,7 +17,7 @@ Over 300 lines: the metrics, and the measures of arrays that they consist of.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 import math
 from typing import Any
 
@@ -163,6 +163,13 @@ def law_active(rows: RunTable) -> NDArray[np.bool_]:
     known = np.isfinite(status) & (status >= 0.0)
     bits = np.where(known, status, 0.0).astype(np.int64)
     return np.asarray(~known | (bits & Status.INACTIVE == 0), dtype=np.bool_)
+
+
+def while_active(rows: RunTable) -> RunTable:
+    """Return a table whose terms, but for the status, are NaN where the law was inactive."""
+    active = law_active(rows)
+    return replace(rows, terms={name: values if name == 'status' else _while(active, values)
+                                for name, values in rows.terms.items()})
 
 
 def layer_width(rows: RunTable, setting: Setting) -> Array:

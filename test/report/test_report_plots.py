@@ -10,6 +10,7 @@ import sys
 import numpy as np
 import pytest
 
+from dz_ros.core.records import Status
 from dz_ros.report import plots, plots_law, plots_timing
 from dz_ros.report.report import pictures
 from dz_ros.report.style import derivative, thin
@@ -102,6 +103,19 @@ def test_true_values_are_dashed_where_the_plant_is_known(simulated):
     assert not any(str(item.get_gid()).endswith('_true') for ax in picture.figure.axes
                    for item in ax.lines)
     assert 'Dashed' not in picture.caption
+
+
+def test_estimates_of_samples_without_the_law_are_not_drawn(simulated):
+    run = simulated({'loop.duration': 4.0})
+    terms = run.channels['terms']
+    values = terms.values.copy()
+    estimate = float(values[399, terms.labels.index('theta1')])
+    values[400:, terms.labels.index('status')] = Status.INACTIVE
+    values[400:, terms.labels.index('theta1')] = 0.0
+    picture = plots_law.estimates(View.of(replace(run, channels={
+        **run.channels, 'terms': replace(terms, values=values)})))
+    assert np.isfinite(lines(picture, -1)['theta1'][1]).sum() == 400
+    assert f'At the end theta1 = {estimate:.4g}' in picture.caption
 
 
 def test_estimates_of_different_size_get_panels_of_their_own(simulated):
