@@ -114,7 +114,9 @@ def test_estimates_of_samples_without_the_law_are_not_drawn(simulated):
     values[400:, terms.labels.index('theta1')] = 0.0
     picture = plots_law.estimates(View.of(replace(run, channels={
         **run.channels, 'terms': replace(terms, values=values)})))
-    assert np.isfinite(lines(picture, -1)['theta1'][1]).sum() == 400
+    drawn = [item.get_ydata() for ax in picture.figure.axes for item in ax.lines
+             if item.get_gid() == 'theta1'][-1]
+    assert np.isfinite(drawn).sum() == 400
     assert f'At the end theta1 = {estimate:.4g}' in picture.caption
 
 
