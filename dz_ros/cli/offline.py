@@ -62,6 +62,10 @@ def simulate_offline(configuration: Configuration,
             return simulate_finite(configuration, memory)
     except DivergedError as error:
         raise _advised(error) from error
+    except (OverflowError, ValueError) as error:
+        if isinstance(error, ConfigurationError):
+            raise
+        raise LoopError(f'the loop cannot be computed: {error}') from error
 
 
 @contextmanager

@@ -19,8 +19,9 @@ from dz_ros.errors import MissingLabelError
 Array = NDArray[np.float64]
 Times = NDArray[np.int64]
 
-OWN_PERIOD = 1e-4
-"""Share by which the samples' own period must differ from the stated one to be taken instead."""
+OWN_PERIOD, MOST_OFF, SURE, LEAST_ROWS = 1e-4, 0.025, 4.0, 400
+"""Shares by which the samples' own period must and may differ from the stated one to be taken
+instead, standard errors it must differ by, and samples that show it."""
 
 
 @dataclass(frozen=True)
@@ -156,8 +157,12 @@ def own_period(seq: Array, t: Array, stated: float) -> float:
         t: Their times [s], shape (N,).
         stated: Period that they are to have [s].
     """
-    apart = len(seq) // 4           # a jump of the clock is in a third of the pairs, not in half
-    if not apart:
+    if len(seq) < LEAST_ROWS or not np.isfinite(t).all():
         return stated
-    own = float(np.median((t[apart:] - t[:-apart]) / (seq[apart:] - seq[:-apart])))
-    return own if own > 0.0 and abs(own / stated - 1.0) > OWN_PERIOD else stated
+    # A clock that was set, or jitter, makes the quarters differ among themselves.
+    slopes = np.array([np.polyfit(number, time, 1)[0] / stated for number, time in zip(
+        np.array_split(seq, 4), np.array_split(t, 4), strict=True)])
+    whole = float(np.polyfit(seq, t, 1)[0]) / stated
+    off, error = abs(whole - 1.0), float(slopes.std(ddof=1)) / 2.0
+    agree = float(np.abs(slopes - whole).max()) < 0.5 * off
+    return whole * stated if max(OWN_PERIOD, SURE * error) < off < MOST_OFF and agree else stated

@@ -5,8 +5,7 @@ A task is a picklable call; results come as they are ready, each with its place.
 hang on how tasks are spread: a task carries everything it needs, seeds included.
 
 - one job: in this process
-- several: processes, each started fresh (spawn), so that nothing is inherited but the package; a
-  script that calls this without ``if __name__ == '__main__'`` is not run again in each;
+- several: processes, each started fresh (spawn), so that nothing is inherited but the package;
   interrupts do not reach them: they are killed where their results are not awaited any more
 - a cluster: any dask.distributed scheduler whose workers have dz_ros. What a worker was doing when
   it died is given to another one; what it had done and not yet handed over is done again.
@@ -27,8 +26,6 @@ from itertools import chain, islice
 import multiprocessing
 import os
 import signal
-import sys
-from types import ModuleType
 from typing import Any
 
 from dz_ros.errors import ConfigurationError, LoopError, MissingDependencyError
@@ -81,7 +78,7 @@ def execute(tasks: Iterable[Task], jobs: int = 0,
         flying: dict[Future[Any], int] = {}
         try:
             while True:
-                with _without_interrupts(), _without_script():  # of which a worker starts a copy
+                with _without_interrupts():     # a worker keeps the mask it was started with
                     for place, (function, arguments) in islice(waiting,
                                                                AHEAD * len(first) - len(flying)):
                         flying[pool.submit(function, *arguments)] = place
@@ -93,7 +90,9 @@ def execute(tasks: Iterable[Task], jobs: int = 0,
                     future = ready.pop()
                     yield flying.pop(future), future.result()
         except BrokenProcessPool as error:
-            raise LoopError('a worker process was killed; fewer jobs need less memory') from error
+            raise LoopError(
+                'a worker process has ended: killed (fewer jobs need less memory), or it ran the '
+                "script again, which needs if __name__ == '__main__' or jobs=1") from error
         finally:
             # Workers first: a queue that is closed while its thread writes would print an error.
             for process in () if done else set(multiprocessing.active_children()) - others:
@@ -109,17 +108,6 @@ def _without_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, held)
-
-
-@contextmanager
-def _without_script() -> Iterator[None]:
-    """Start processes that do not import the program of this one, which might call us there."""
-    program, place = sys.modules['__main__'], '__main__'
-    sys.modules[place] = ModuleType(place)
-    try:
-        yield
-    finally:
-        sys.modules[place] = program
 
 
 def _on_cluster(waiting: Iterator[tuple[int, Task]], address: str) -> Iterator[tuple[int, Any]]:

@@ -308,19 +308,17 @@ def test_systems_that_are_no_such_plant_are_refused(rates, words):
         dz.from_control(system)
 
 
-def test_a_script_that_sweeps_without_a_guard_is_run_once(tmp_path):
+def test_a_script_that_sweeps_without_a_guard_is_refused_with_the_cure(tmp_path):
     script = tmp_path / 'script.py'
     script.write_text(f"""
 import dz_ros as dz
-print('begins')
-rows = dz.sweep(dz.load('wang2004', {SHORT!r}), {{'controller.lambda': [1, 2, 4]}}, jobs=2)
-print([row['controller.lambda'] for row in rows])
+dz.sweep(dz.load('wang2004', {SHORT!r}), {{'controller.lambda': [1, 2, 4]}}, jobs=2)
 """)
     environment = {**os.environ, 'PYTHONPATH': str(Path(__file__).parents[2])}
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False,
                           env=environment)
-    assert (done.returncode, done.stderr) == (0, '')
-    assert done.stdout == 'begins\n[1, 2, 4]\n'
+    assert done.returncode == 1
+    assert "which needs if __name__ == '__main__' or jobs=1" in done.stderr
 
 
 def test_the_first_example_of_the_page_is_a_script(tmp_path):
@@ -358,6 +356,23 @@ def test_a_mistake_in_a_class_is_no_divergence():
 
     with pytest.raises(ValueError, match='a mistake'):
         dz.simulate({'plant.model': Broken, **SHORT})
+
+
+def test_a_mistake_in_a_class_later_on_keeps_its_text():
+    class Late(Servo):
+        """Cannot be evaluated beyond a position."""
+
+        name = 'late'
+
+        @staticmethod
+        def regressors(x, p, out):
+            """Fail."""
+            if x[0] > 0.01:
+                raise ValueError('the table ends at 0.01')
+            out[0], out[1] = x[1], 0.0
+
+    with pytest.raises(ValueError, match='the table ends'):
+        dz.simulate({'plant.model': Late, **SHORT})
 
 
 def test_a_run_that_diverged_shows_that_it_failed():

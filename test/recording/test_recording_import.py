@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.dataset import own_period
 from dz_ros.core.records import State
 from dz_ros.errors import ConfigurationError, MessageError, RecordingError
 from dz_ros.recording import import_csv
@@ -205,6 +206,16 @@ def test_the_run_has_the_rate_of_its_rows(share):
     done = import_run(*table(t, x0=np.sin(t), v=np.cos(t)), axis(), False, 0)
     assert done.run.configuration['loop.rate'] == pytest.approx(1.0 / t[1], rel=1e-5)
     assert any('is that of the rows' in note for note in done.notes) == (share != 0.0)
+
+
+@pytest.mark.parametrize('rows', [6, 20, 100, 1000])
+@pytest.mark.parametrize('jumps', [(), (2.0,), (0.1, 0.1), (2.0, 2.0), (0.05, 0.05, 0.05)])
+def test_jitter_and_a_clock_that_is_set_are_no_other_rate(rows, jumps):
+    for seed in range(5):
+        t = PERIOD * (np.arange(rows) + np.random.default_rng(seed).uniform(-0.1, 0.1, rows))
+        for place, jump in enumerate(jumps, 1):
+            t[place * rows // (len(jumps) + 1):] += jump
+        assert own_period(np.arange(float(rows)), t, PERIOD) == PERIOD
 
 
 @pytest.mark.parametrize('factor', [1e-3, 1e3])

@@ -13,6 +13,9 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.loop.offline import Run, simulate
 from dz_ros.errors import ConfigurationError, DivergedError
 
+TOO_LARGE = ('math ', 'cannot convert float', 'expected a ')
+"""How Python's own errors begin for numbers that are too large, infinite or none."""
+
 
 def simulate_finite(configuration: Configuration, memory: Sequence[float] | None = None,
                     simulate_one: Callable[..., Run] = simulate) -> Run:
@@ -26,13 +29,14 @@ def simulate_finite(configuration: Configuration, memory: Sequence[float] | None
     Raises:
         ConfigurationError: As of `simulate`.
         DivergedError: The loop diverged; with the time.
-        OverflowError, ValueError: Not even the first sample can be computed, so the cause is no
-            divergence.
+        OverflowError, ValueError: Not even the first sample can be computed, or a class raised
+            it for another reason: that is no divergence.
     """
     try:
         run = simulate_one(configuration, memory=memory)
     except (OverflowError, ValueError) as error:
-        if isinstance(error, ConfigurationError):
+        if isinstance(error, ConfigurationError) or not (
+                isinstance(error, OverflowError) or str(error).startswith(TOO_LARGE)):
             raise
         sample = _first_failing(configuration, memory)
         if sample == 0:
