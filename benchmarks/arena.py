@@ -31,6 +31,7 @@ from dz_ros.studies.arena_page import (
     pictures,
     REFERENCE,
     tables,
+    where_better,
 )
 from dz_ros.studies.entrants import IDEAL
 from dz_ros.studies.retune import ALL, Found, read, VARIATION
@@ -152,8 +153,8 @@ def over(arena: Arena, scenario: str, entrant: str, best: str) -> str:
     return f'{error / least:.2f}' if error and least else ''
 
 
-def sentence(arena: Arena) -> str:
-    """Return in one sentence where the recommended law has the smallest error as shipped."""
+def as_shipped(arena: Arena) -> list[str]:
+    """Return where the recommended law has the smallest error as shipped, and where not."""
     first, near, behind = [], [], []
     for name in arena.plan.scenarios:
         best = rivals(arena, name)[0]
@@ -163,12 +164,9 @@ def sentence(arena: Arena) -> str:
         elif ratio and float(ratio) <= NEAR:
             near.append(name)
         else:
-            behind.append(f'{name} (`{best}`, {ratio or "lost"} times smaller)')
-    return (f'As shipped `{REFERENCE}` has the smallest error in {len(first)} of '
-            f'{len(arena.plan.scenarios)} scenarios, and is within {100 * (NEAR - 1):.0f} % of '
-            f'the smallest in {len(near)} more'
-            + (f'; another law is better in {len(behind)}: ' + ', '.join(behind) if behind
-               else '') + '.')
+            behind.append((name, best, ratio or 'lost'))
+    return where_better(f'As shipped `{REFERENCE}`', len(arena.plan.scenarios), len(first),
+                        len(near), behind)
 
 
 def shown(value: float | None) -> str:
@@ -191,7 +189,7 @@ def retuned_part(path: Path | None) -> list[str]:
     found = [item for item in found if item.scenario in complete]
     seeds = sorted({item.seed for item in found})
     each = {seed: len({item.scenario for item in found if item.seed == seed}) for seed in seeds}
-    return [summary(found), '',
+    return [*summary(found), '',
             f'Budget: at most {max(item.budget for item in found)} sets of gains tried in each '
             f'search, {len(seeds)} seed{"s" * (len(seeds) > 1)} ('
             + ', '.join(f'seed {seed}: {count} searches' for seed, count in each.items()) + '); '
@@ -220,7 +218,7 @@ def write(arena: Arena, retuned: Path | None = None) -> None:
     lines = ['# Comparison of laws', '',
              'Written by `python benchmarks/arena.py --write --retuned benchmarks/retuned.jsonl`; '
              'the same tables, with a page of their own, come from `dz arena --out DIR`. '
-             + conditions(arena), '', sentence(arena), '',
+             + conditions(arena), '', *as_shipped(arena), '',
              'No law is tuned for a scenario in the first table: gains are those of '
              '`dz_ros/core/laws/`, the same in every row but for the limit of the actuator, which '
              'laws with a place for it (`v_max` of `robust` and `robust_eso`, `v_clip` of '

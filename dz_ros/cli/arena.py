@@ -102,7 +102,7 @@ def _retune(arguments: argparse.Namespace, plan: Plan) -> int:
         found = retune(laws, list(plan.scenarios), arguments.retune, plan.duration, plan.seeds,
                        arguments.searches, arguments.budget, arguments.jobs, arguments.cluster,
                        Progress(searches))
-    print(summary(found), '', *table(found), '', *gains_table(found), '', *errors_table(found),
+    print(*summary(found), '', *table(found), '', *gains_table(found), '', *errors_table(found),
           '', *margins_table(found), sep='\n')
     return 0
 

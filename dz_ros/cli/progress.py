@@ -13,6 +13,7 @@ from contextlib import contextmanager
 import sys
 import threading
 import time
+import weakref
 
 NOTICED = 3.0
 """What takes longer shows what it does, without a terminal too [s]."""
@@ -36,6 +37,7 @@ class _Line:
     """A line on standard error that is rewritten on a terminal."""
 
     def __init__(self, shown: float) -> None:
+        self.begun = False
         self._width = 0
         self._shown = shown     # when the last one was, by the steady clock
         self.terminal = sys.stderr.isatty()
@@ -45,7 +47,7 @@ class _Line:
         now = time.monotonic()
         if not (self.terminal or last or now - self._shown >= INTERVAL):
             return
-        self._shown = now
+        self._shown, self.begun = now, True
         if self.terminal:
             print('\r' + text.ljust(self._width), end='\n' if last else '', file=sys.stderr,
                   flush=True)
@@ -69,10 +71,20 @@ class Progress:
         self._what = what
         self._total = total
         self._begin = time.monotonic()
-        self._line = _Line(self._begin)
+        self._line = _Line(self._begin - INTERVAL + NOTICED)
         self._base = self.done = 0
         if self._line.terminal:
             self(0, total)
+            return
+        # Starting may take longer than that; a reference alone, for what ended before is silent.
+        first = threading.Timer(NOTICED, _first, (weakref.ref(self),))
+        first.daemon = True
+        first.start()
+
+    def begin(self) -> None:
+        """Show how far it is where nothing has been shown so far."""
+        if not self._line.begun:
+            self._show('' if self.done else 'starting', True)
 
     def resume(self, done: int) -> None:
         """Count runs that were done before, so that they do not make the estimate rosy."""
@@ -81,12 +93,23 @@ class Progress:
     def __call__(self, done: int, total: int, what: str = '') -> None:
         """Show that `done` of `total` runs are done, the last of them `what`."""
         self._total, self.done = total, done
+        self._show(what, done >= total)
+
+    def _show(self, what: str, now: bool) -> None:
+        """Show how far it is, now or where a line is due."""
         if _silent[0]:
             return
-        passed = time.monotonic() - self._begin
-        self._line.show(f'{done} of {total} {self._what}, '
-                        f'{_left(done - self._base, total - done, passed)}'
-                        + (f' ({what})' if what else ''), done >= total)
+        passed, left = time.monotonic() - self._begin, self._total - self.done
+        self._line.show(f'{self.done} of {self._total} {self._what}, '
+                        f'{_left(self.done - self._base, left, passed)}'
+                        + (f' ({what})' if what else ''), now)
+
+
+def _first(found: weakref.ref[Progress]) -> None:
+    """Show the first line of what still goes on."""
+    progress = found()
+    if progress is not None:
+        progress.begin()
 
 
 @contextmanager

@@ -76,7 +76,9 @@ def lines(c: Configuration, given: dict[str, Any], typed: dict[str, Any],
         shown = f'[{unit}]' if unit not in ('', '1') else ''
         yield f'{prefix + key:<{width}}  {text} {shown}'.rstrip() + f'  ({source})'
     for key in filter(wanted, c.set_aside):
-        yield f'{prefix + key:<{width}}  set aside: another class of its section owns it'
+        reason = (f'does not fit {c.plant.name}' if c.misfits(key)
+                  else 'another class of its section owns it')
+        yield f'{prefix + key:<{width}}  set aside: {reason}'
 
 
 def _unit(units: Units, text: str) -> str:

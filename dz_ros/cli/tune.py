@@ -32,7 +32,7 @@ from dz_ros.studies.tune import Proposal, tune
 
 BOUNDS = tuple(f'controller.{name}_bounds' for name in ('b_r', 'b_l', 'm', 'b'))
 NUMBERS = (('error_max', 'max |x̃|'), ('v_variation', 'TV of v per s'),
-           ('v_peak_run', 'peak |v|'), ('omega', 'share in Ω_ε'))
+           ('v_peak_run', 'peak |v|'))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -178,9 +178,10 @@ def format_proposal(found: Proposal) -> str:
         if row['lost']:
             lines.append(f'  {name:16} lost: {row["reason"]}')
             continue
-        numbers = '   '.join(f'{title} {row[key]:.4g}' for key, title in NUMBERS
-                             if row[key] is not None)
-        lines.append(f'  {name:16} {numbers}')
+        numbers = [f'{title} {row[key]:.4g}' for key, title in NUMBERS if row[key] is not None]
+        if row['omega'] is not None:
+            numbers.append(f'in Ω_ε {100.0 * row["omega"]:.4g} %')
+        lines.append(f'  {name:16} {"   ".join(numbers)}')
     if found.findings:
         lines += ['', 'by the rules of dz check']
         lines += [f'  {"" if item.level == INFO else item.level + " "}{item.rule}: {item.words}'

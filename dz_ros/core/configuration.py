@@ -6,9 +6,10 @@
 The same keys are the ROS parameters of the nodes, the keys of the YAML files and those of
 ``--set``. In the sections plant, controller, trajectory and driver one key chooses a class
 (`plant.model`, `controller.law`, `trajectory.kind`, `driver.name`) and the rest are that class's
-own parameters. A key that only
-another class of the same section knows is set aside, not refused, so that the law of a file can
-be changed by one word; a key no class knows is an error.
+own parameters. A key that only another class of the same section knows is set aside, not refused,
+so that the law of a file can be changed by one word; a key no class knows is an error. Where the
+plant of a file is replaced, lists of the file that do not fit the new one, as `plant.x0`, are set
+aside as well.
 
 A loop of several axes (`loop.axes`) has a whole configuration for each of them,
 `Configuration.axis`: that of a loop of this axis alone. `axes.NAME.` before a key gives it for one
@@ -232,7 +233,8 @@ class Configuration:
         """Make a configuration from dotted keys of which some are changed.
 
         Where another plant, law, trajectory or driver is chosen, the keys of the one in `base` are
-        set aside, also of a class that is not registered.
+        set aside, also of a class that is not registered; where another plant is, lists in `base`
+        that do not fit it as well.
 
         Raises:
             ConfigurationError: As of `from_flat`.
@@ -254,7 +256,7 @@ class Configuration:
         flat = {**base, **changed}
         common, own = split_keys(flat)
         if not own and not common.get('loop.axes'):
-            return cls._build(flat, driven, replaced=_owners(_replaced(base, changed)))
+            return cls._fitting(flat, driven, _owners(_replaced(base, changed)), changed)
         loop = schema.build(LoopSettings, {key.partition('.')[2]: value for key, value in
                                            common.items() if key.startswith('loop.')}, 'loop.')
         check_axes(own, loop.axes)
@@ -270,7 +272,9 @@ class Configuration:
             replaced = {key: value for earlier in (before[1].get(name, {}), common, before[0])
                         for key, value in _replaced(earlier, keys).items() if value is not None}
             try:
-                built = cls._build(keys, driven, replaced=_owners(replaced))
+                new = split_keys(changed)
+                built = cls._fitting(keys, driven, _owners(replaced),
+                                     {**new[0], **new[1].get(name, {})})
             except ConfigurationError as error:
                 _name_axis(error, name, place, mine)
                 raise
@@ -337,6 +341,33 @@ class Configuration:
                                      'many')
         return with_values(first, loop=with_values(first.loop, axes=names), axes=axes,
                            set_aside=set_aside)
+
+    @classmethod
+    def _fitting(cls, flat: Mapping[str, Any], driven: bool,
+                 replaced: Mapping[str, type | None], changed: Mapping[str, Any],
+                 base: Configuration | None = None) -> Configuration:
+        """Make a configuration; lists of a replaced plant are set aside where they do not fit.
+
+        Args:
+            flat: Dotted key → value, `changed` included.
+            driven: As of `from_flat`.
+            replaced: As of `_build`.
+            changed: What was given together with the new plant, which must fit.
+            base: As of `_build`.
+        """
+        keys = dict(flat)
+        while True:
+            try:
+                built = cls._build(keys, driven, base, replaced)
+            except ConfigurationError as error:
+                if ('plant' not in replaced or error.key in changed
+                        or not error.key.startswith(('plant.', 'controller.'))
+                        or not isinstance(keys.get(error.key), (list, tuple))):
+                    raise
+                del keys[error.key]
+            else:
+                return built if len(keys) == len(flat) else with_values(
+                    built, set_aside=(*built.set_aside, *(key for key in flat if key not in keys)))
 
     @classmethod
     def _build(cls, flat: Mapping[str, Any], driven: bool,
@@ -470,6 +501,12 @@ class Configuration:
             made.update(zip(places, drivers, strict=True))
         return tuple(made[place] for place in range(len(each)))
 
+    def misfits(self, key: str) -> bool:
+        """Return whether a key was set aside because its list does not fit the plant."""
+        axis, own = parts(key)
+        item = self if axis not in self.axis_names else self.axis(axis)
+        return own in item.set_aside and own in item.fields()
+
     def fields(self) -> dict[str, schema.Field]:
         """Return the declaration of every key of this configuration."""
         found = {f'{prefix}.{item.name}': item for prefix, members in self._members().items()
@@ -518,8 +555,11 @@ class Configuration:
             return self._replace_axes(overrides)
         check_axes(split_keys(overrides)[1], ())
         changed = {key.partition('.')[0] for key in overrides}
-        return self._build({**self.to_flat(*changed), **overrides},
-                           self.driver_class is not Undriven, self)
+        if 'plant.model' in overrides:
+            changed.add('controller')       # its lists may not fit the new plant
+        flat = self.to_flat(*changed)
+        return self._fitting({**flat, **overrides}, self.driver_class is not Undriven,
+                             _owners(_replaced(flat, overrides)), overrides, self)
 
     def _replace_axes(self, overrides: Mapping[str, Any]) -> Configuration:
         """Return this configuration of several axes with keys changed, as `replace`."""

@@ -262,7 +262,9 @@ def check_length(samples: Samples) -> None:
     """
     if len(np.unique(samples.repeat[samples.repeat >= 0])) < LEAST_REPEATS:
         span = float(samples.seq[-1] - samples.seq[0]) * samples.period
-        raise RecordingError(f'the run is too short: {span:.3g} s, at least '
+        there = len(samples.seq) * samples.period
+        whole = f', of which {there:.3g} s are not lost' if there < 0.9 * span else ''
+        raise RecordingError(f'the run is too short: {span:.3g} s{whole}; at least '
                              f'{LEAST_REPEATS * PART:g} s are needed to see whether the dead-zone '
                              'drifts; dz bag whatif --fit takes less and gives no bounds')
 

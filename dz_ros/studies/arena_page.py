@@ -87,6 +87,28 @@ def beaten(arena: Arena) -> list[list[str]]:
     return found
 
 
+def where_better(begin: str, count: int, first: int, near: int,
+                 beaten: Sequence[Sequence[str]]) -> list[str]:
+    """Return in Markdown where the recommended law has the smallest error, and where not.
+
+    Args:
+        begin: First words of the sentence.
+        count: Number of scenarios.
+        first: In how many it has the smallest error.
+        near: In how many more within `NEAR` of the smallest.
+        beaten: Of the rest scenario, better law, how many times smaller its error is.
+    """
+    sentence = (f'{begin} has the smallest error in {first} of {count} scenarios'
+                + (f', and is within {100 * (NEAR - 1):.0f} % of the smallest in {near} more'
+                   if near else ''))
+    if not beaten:
+        return [f'{sentence}.']
+    return [f'{sentence}; another law is better in {len(beaten)}:', '',
+            '| scenario | better law | error, times smaller |', '|---|---|---|',
+            *(f'| {name} | {f"`{law}`" if law else "none"} | {times} |'
+              for name, law, times in beaten)]
+
+
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]], left: Container[int] = (0,)
             ) -> list[str]:
     """Return a table as lines of text of equal columns."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 import math
 
-from dz_ros.studies.arena_page import NEAR, OURS, REFERENCE
+from dz_ros.studies.arena_page import NEAR, OURS, REFERENCE, where_better
 from dz_ros.studies.retune import ALL, BAD, Found
 
 
@@ -61,27 +61,25 @@ def survived(item: Found) -> tuple[str, str]:
             str(item.delay) if item.delay >= 0 else 'none')
 
 
-def summary(found: Sequence[Found]) -> str:
-    """Return in one sentence where the recommended law has the smallest error, and where not."""
+def summary(found: Sequence[Found]) -> list[str]:
+    """Return where the recommended law has the smallest error: a sentence, then a table of others.
+
+    Lines of Markdown.
+    """
     names = [name for name in dict.fromkeys(item.scenario for item in found) if name != ALL]
     first, near, beaten = [], [], []
     for name in names:
         ranked = within_limits(found, name)
         own = next((item for item in ranked if item.law == REFERENCE), None)
-        if own is None:
-            beaten.append(f'{name} (beyond a limit)')
-        elif own is ranked[0]:
+        if own is not None and own is ranked[0]:
             first.append(name)
-        elif own.error <= NEAR * ranked[0].error:
+        elif own is not None and own.error <= NEAR * ranked[0].error:
             near.append(name)
         else:
-            beaten.append(f'{name} (`{ranked[0].law}`, {own.error / ranked[0].error:.2f} times '
-                          'smaller)')
-    return (f'With gains tuned for each scenario `{REFERENCE}` has the smallest error in '
-            f'{len(first)} of {len(names)} scenarios, and is within {100 * (NEAR - 1):.0f} % of '
-            f'the smallest in {len(near)} more'
-            + (f'; another law is better in {len(beaten)}: ' + ', '.join(beaten) if beaten else '')
-            + '.')
+            beaten.append((name, ranked[0].law if ranked else '', 'beyond a limit' if own is None
+                           else f'{own.error / ranked[0].error:.2f}'))
+    return where_better(f'With gains tuned for each scenario `{REFERENCE}`', len(names),
+                        len(first), len(near), beaten)
 
 
 def errors_table(found: Sequence[Found]) -> list[str]:

@@ -159,3 +159,25 @@ def test_elsewhere_the_last_line_is_always_there_and_others_are_rare(capsys):
     for done in (1, 2, 3):
         counted(done, 3)
     assert re.fullmatch(r'([12] of 3 runs, .*\n)?3 of 3 runs, \d+ s\n', capsys.readouterr().err)
+
+
+class Timers(list):
+    """Takes the place of `threading.Timer`: runs what it was given when a test asks for it."""
+
+    def __call__(self, _seconds, function, arguments):
+        self.append(lambda: function(*arguments))
+        return threading.Thread()
+
+
+def test_elsewhere_the_first_line_does_not_wait_for_the_first_run(monkeypatch, capsys):
+    timers = Timers()
+    monkeypatch.setattr(progress.threading, 'Timer', timers)
+    counted = Progress(3)
+    timers[0]()
+    assert capsys.readouterr().err == '0 of 3 runs, time left unknown (starting)\n'
+    timers[0]()
+    assert capsys.readouterr().err == ''
+    counted = Progress(3)
+    del counted                     # ended by an error, say
+    timers[1]()
+    assert capsys.readouterr().err == ''

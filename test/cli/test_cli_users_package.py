@@ -2,6 +2,7 @@
 """A configuration of a user's package: its law, plant and trajectory can be replaced by name."""
 
 from pathlib import Path
+import re
 import sys
 
 import pytest
@@ -42,6 +43,16 @@ def test_keys_of_other_classes_are_set_aside_too(example, change):
     key, _, name = change.partition('=')
     c = load_configuration(example, [change])
     assert c.to_flat()[key] == name
+
+
+def test_another_plant_takes_a_file_with_lists_of_its_own(example, capsys):
+    assert main(['simulate', str(example), '--duration', '1', '--set', 'plant.model=pendulum',
+                 '--set', 'trajectory.kind=sinusoid', '--set', 'controller.law=robust']) == 0
+    assert 'dz: note: plant.x0 is set aside: the list does not fit pendulum' in (
+        capsys.readouterr().err)
+    assert main(['show', str(example), '--set', 'plant.model=pendulum', '--set',
+                 'trajectory.kind=sinusoid', '--set', 'controller.law=robust']) == 0
+    assert re.search(r'plant\.x0 +set aside: does not fit pendulum', capsys.readouterr().out)
 
 
 def test_a_key_that_no_class_has_is_still_refused(example, capsys):

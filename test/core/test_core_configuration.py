@@ -167,6 +167,43 @@ def test_keys_of_another_class_are_set_aside_so_that_a_law_is_changed_by_one_wor
     assert set(c.set_aside) == {'controller.k_star', 'plant.mass', 'trajectory.bandwidth'}
 
 
+BASE = {'plant.model': 'wang2004', 'plant.x0': [-2.5, 3.5], 'plant.noise': [0.0, 0.01],
+        'controller.theta_0': [0.1, 0.2], 'controller.lambda': 2.0}
+
+
+@pytest.mark.parametrize('change', ['from_changed', 'replace'])
+def test_lists_of_another_plant_that_do_not_fit_are_set_aside(change):
+    def with_(**overrides):
+        return (Configuration.from_changed(BASE, overrides) if change == 'from_changed'
+                else Configuration.from_flat(BASE).replace(**overrides))
+
+    c = with_(**{'plant.model': 'valve_actuator'})
+    assert c.x0 == c.plant.default_x0
+    assert c.noise == (0.0, 0.0, 0.0)
+    assert c.law.regressor_count == 3
+    assert 'controller.theta_0' in c.fields()
+    assert c.to_flat()['controller.theta_0'] != [0.1, 0.2]
+    assert c.to_flat()['controller.lambda'] == 2.0
+    lists = {'plant.x0', 'plant.noise', 'controller.theta_0'}
+    assert {key for key in c.set_aside if c.misfits(key)} == lists
+    c = with_(**{'plant.model': 'pendulum'})
+    assert c.x0 == (-2.5, 3.5)
+    assert not c.misfits('plant.x0')
+    with pytest.raises(ConfigurationError, match=r'plant\.x0') as caught:
+        with_(**{'plant.model': 'valve_actuator', 'plant.x0': [1.0, 2.0]})
+    assert caught.value.value == [1.0, 2.0]
+    with pytest.raises(ConfigurationError, match=r'plant\.x0'):
+        with_(**{'plant.x0': [1.0]})
+
+
+def test_axes_with_another_plant_set_their_lists_aside():
+    base = {**BASE, 'loop.axes': ['a', 'b'], 'axes.b.plant.x0': [1.0, 2.0]}
+    c = Configuration.from_changed(base, {'plant.model': 'valve_actuator'})
+    lists = {'plant.x0', 'plant.noise', 'controller.theta_0', 'axes.b.plant.x0'}
+    assert {key for key in c.set_aside if c.misfits(key)} == lists
+    assert c.axis('a').x0 == c.axis('b').x0 == c.plant.default_x0
+
+
 @pytest.mark.parametrize(('flat', 'key', 'reports'), [
     ({'controller.lamda': 1.0}, 'controller.lamda', 'did you mean controller.lambda?'),
     ({'lambda': 1.0}, 'lambda', 'did you mean controller.lambda?'),

@@ -12,7 +12,7 @@ from dz_ros.core.tracking import guaranteed_bounds
 
 # Voltage [V]: edges of the dead band [µs], mean slopes right and left [N/µs].
 FIGURES = {10.0: (1456.0, 1544.0, 0.083, 0.066), 12.0: (1460.0, 1540.0, 0.104, 0.082),
-           16.0: (1468.0, 1532.0, 0.145, 0.113), 20.0: (1472.0, 1528.0, 0.180, 0.135)}
+           16.0: (1468.0, 1532.0, 0.145, 0.113), 20.0: (1472.0, 1532.0, 0.180, 0.135)}
 FULL = 360.0
 
 

@@ -17,7 +17,7 @@ from dz_ros.core.loop.offline import simulate
 from dz_ros.drivers.simulated import SimulatedActuator
 from dz_ros.errors import RecordingError
 from dz_ros.files.configurations import load_configuration
-from dz_ros.identification.estimation.consistency import check_samples
+from dz_ros.identification.estimation.consistency import check_samples, jumps
 from dz_ros.identification.estimation.pipeline import fit_log, identify, identify_log
 from dz_ros.identification.samples import from_run, motion_speed
 
@@ -239,6 +239,61 @@ def test_states_lost_together_cost_no_more_than_what_they_would_have_shown(loop)
         assert bound.low <= truth <= bound.high
     with pytest.raises(RecordingError, match='10% of the commands that acted are lost'):
         found(c, without(run, 0.1, 'command', 50))
+
+
+def test_a_velocity_without_numbers_for_a_while_is_noted(loop):
+    c, run = loop
+
+    def bursts(v):
+        v = v.copy()
+        for begin in range(300, 6000, 600):
+            v[begin:begin + 40] = np.nan
+        return v
+
+    rest = found(c, changed(run, V, bursts))
+    assert 'x1 [rad/s] is not a number in 6.7 % of the samples' in '; '.join(rest.notes)
+    for bound, truth in zip(rest.bounds.values(), TRUTH, strict=True):
+        assert bound.low <= truth <= bound.high
+
+
+def wrapped(x):
+    x = x + 3.0
+    return np.where(x > 3.5, x - 2.0 * np.pi, x)
+
+
+def spiked(x):
+    x = x.copy()
+    x[1000] += 1.0
+    return x
+
+
+@pytest.mark.parametrize(('alter', 'size', 'least'), [(wrapped, 2.0 * np.pi, 4), (spiked, 1.0, 2)])
+def test_a_position_that_jumps_is_named(loop, alter, size, least):
+    c, run = loop
+    with pytest.raises(RecordingError, match='is not the rate of') as caught:
+        found(c, changed(run, X, alter))
+    alone = c.replace(**{'driver.measured': 1})
+    notes = '; '.join(found(alone, changed(run, X, alter)).notes)
+    for text in (notes, str(caught.value)):
+        count, by = re.search(r'x0 \[rad\] jumps (\d+) times, by (\S+) at', text).groups()
+        assert int(count) >= least
+        assert abs(float(by)) == pytest.approx(size, abs=0.1)
+    assert 'jumps' not in '; '.join(found(c, run).notes)
+
+
+@pytest.mark.parametrize(('values', 'rows'), [
+    (np.floor(np.linspace(0.0, 40.0, 4000)), 0),                        # an encoder, slow
+    (np.concatenate([np.zeros(2000), np.linspace(0.0, 1.0, 40), np.ones(2000)]), 0),
+    (np.sin(np.arange(4000) / 100.0), 0), (np.ones(4000), 0),
+    (np.sin(np.arange(4000) / 100.0) + (np.arange(4000) >= 50), 1)], ids=range(5))
+def test_jumps_are_no_motion(values, rows):
+    noise = np.random.default_rng(1).normal(0.0, 1e-4, len(values))
+    seq = np.arange(len(values))
+    assert len(jumps(values, seq)) == rows
+    if len(np.unique(values)) != 41:
+        assert len(jumps(values + noise, seq)) == rows
+    seq[50:] += 1       # what happened between is not known
+    assert len(jumps(values, seq)) == 0
 
 
 @pytest.mark.parametrize('late', [1, 4, -2])

@@ -2,6 +2,7 @@
 """What a plant predicts of a recording by its commands alone."""
 
 from dataclasses import replace
+import json
 import math
 
 import numpy as np
@@ -150,6 +151,24 @@ def test_the_verb_prints_what_is_explained_and_draws_it(saved, tmp_path, capsys)
     assert main(['bag', 'predict', str(saved), '--config', 'wang2004']) == 0
     assert ('note: states of plant wang2004 are in 1, 1/s, those of the run in rad, rad/s'
             in capsys.readouterr().out)
+
+
+def test_the_numbers_as_json(saved, tmp_path, capsys):
+    picture = tmp_path / 'x.png'
+    assert main(['bag', 'predict', str(saved), '--json', '--picture', str(picture)]) == 0
+    once, *parts = (found := json.loads(capsys.readouterr().out))['begun']
+    assert once['every_s'] is None
+    assert [item['every_s'] for item in parts] == [5.0, 1.0]
+    assert once['explained'][0] == pytest.approx(1.0, abs=1e-6)
+    assert found['units'] == ['rad', 'rad/s']
+    assert found['own_constant'] is None
+    assert picture.exists()
+    run = tmp_path / 'pushed'
+    save_run(made('axis', 'plant.constant_force=-3.0')[1], run)
+    assert main(['bag', 'predict', str(run), '--set', 'plant.constant_force=-4.0', '--json']) == 0
+    own = json.loads(capsys.readouterr().out)['own_constant']
+    assert own['changed']['plant.constant_force'] == pytest.approx(-3.0, rel=1e-3)
+    assert own['explained'][0] == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(('words', 'reported'), [

@@ -176,11 +176,16 @@ def test_table_names_the_best_and_the_distance():
     assert 'pid' not in lines[-1]
     assert 'none within the limits' in table([beyond])[-1]
     assert len({len(re.split(r'(?<!\\)\|', line)) for line in [*lines, *table([beyond])]}) == 1
-    assert 'smallest error in 1 of 1' in summary([one, other, beyond])
+    assert summary([one, other, beyond]) == [
+        'With gains tuned for each scenario `robust_eso` has the smallest error in 1 of 1 '
+        'scenarios.']
     better = replace(other, error=1e-4, score=math.log(1e-4))
     assert '| no |' in table([one, better])[-1]
     assert '| 3.00 |' in table([one, better])[-1]
-    assert 'nominal (`ladrc`, 3.00 times smaller)' in summary([one, better])
+    assert summary([one, better])[0].endswith('; another law is better in 1:')
+    assert summary([one, better])[-1] == '| nominal | `ladrc` | 3.00 |'
+    assert summary([replace(beyond, law='robust_eso'), better])[-1] == (
+        '| nominal | `ladrc` | beyond a limit |')
     everywhere = [replace(item, scenario=ALL, errors={'nominal': item.error})
                   for item in (one, other)]
     lines = margins_table([one, replace(other, delay=-1, beta=(1.0, 0.5)), beyond])
@@ -214,13 +219,13 @@ def test_verb_prints_both_tables(tmp_path, capsys):
 
 def test_the_readme_reports_what_the_table_reports():
     root = Path(__file__).parents[2]
-    reported = summary(list(read(root / 'benchmarks' / 'retuned.jsonl').values()))
+    reported = '\n'.join(summary(list(read(root / 'benchmarks' / 'retuned.jsonl').values())))
     assert reported in (root / 'docs' / 'arena.md').read_text()
     readme = ' '.join((root / 'README.md').read_text().split())
     best, count = map(int, re.search(r'smallest error in (\d+) of (\d+) scenarios',
                                      reported).groups())
     better = int(re.search(r'another law is better in (\d+)', reported)[1])
-    times = sorted(map(float, re.findall(r'([\d.]+) times smaller', reported)))
+    times = sorted(map(float, re.findall(r'` \| ([\d.]+) \|', reported)))
     assert f'for all {count} scenarios' in readme
     assert f'best in {best}; another law is better in {better}' in readme
     assert round(times[0], 1) == float(re.search(r'by ([\d.]+) to', readme)[1])

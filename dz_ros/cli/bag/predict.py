@@ -7,6 +7,8 @@ import argparse
 from collections.abc import Iterator, Mapping
 import math
 from pathlib import Path
+import sys
+from typing import Any
 
 from dz_ros.cli.options import (
     add_recording,
@@ -15,7 +17,7 @@ from dz_ros.cli.options import (
     refuse_existing,
     require_folder,
 )
-from dz_ros.cli.output import aligned, note_run, print_lines
+from dz_ros.cli.output import aligned, note_run, print_json, print_lines
 from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
@@ -45,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         'plant.constant_force=-3; may be repeated')
     parser.add_argument('--picture', type=Path, metavar='FILE',
                         help='draw measured and predicted states; a PNG that must not exist')
+    parser.add_argument('--json', action='store_true', help='the numbers as JSON')
     parser.epilog = ('The plant is driven by the recorded commands alone, from the first '
                      'measurement on. 100 % is a perfect prediction, 0 % is that of the mean.')
 
@@ -71,23 +74,44 @@ def run(arguments: argparse.Namespace) -> int:
         found = {length: predict(data, c, length) for length in LENGTHS}
         own = with_own_constant(data, c)
     whole = found[math.inf]
-    origin = arguments.config or 'the run itself'
-    print_lines([f'plant {c.plant.name} of {origin}, driven by the commands of {arguments.run} '
-                 'alone'])
-    print_lines(prediction_lines(found, c))
-    if own is not None:
-        print_lines(_own_lines(own, whole, predict(data, own[0]), c))
-    if other:
-        print_lines([f'note: {other}'])
-    if whole.lost:
-        print_lines([f'note: {whole.lost} samples beside holes are not predicted'])
+    better = None if own is None else predict(data, own[0])
+    lines = [*prediction_lines(found, c)]
+    if own is not None and better is not None:
+        lines += _own_lines(own, whole, better, c)
+    notes = [text for text in (other, f'{whole.lost} samples beside holes are not predicted'
+                               if whole.lost else '') if text]
+    if arguments.json:
+        print_json({'begun': [_numbers(length, item) for length, item in found.items()],
+                    'own_constant': own and better and {
+                        'changed': _changed(own[0], c), **_numbers(math.inf, better)},
+                    'units': list(c.plant.state_units[:whole.measured.shape[1]]),
+                    'notes': notes})
+    else:
+        print_lines([f'plant {c.plant.name} of {arguments.config or "the run itself"}, driven by '
+                     f'the commands of {arguments.run} alone', *lines,
+                     *(f'note: {text}' for text in notes)])
     note_run(data)
     if arguments.picture is not None:
         from dz_ros.identification.prediction_plot import draw
 
         arguments.picture.write_bytes(draw(whole, c).png())
-        print_lines([f'picture: {arguments.picture}'])
+        print_lines([f'picture: {arguments.picture}'],
+                    sys.stderr if arguments.json else sys.stdout)
     return 0
+
+
+def _numbers(length: float, item: Prediction) -> dict[str, Any]:
+    """Return a prediction as JSON has it; None where the plant diverged or nothing moved."""
+    return {'every_s': length if math.isfinite(length) else None, 'parts': len(item.starts),
+            'explained': [share if math.isfinite(share) else None for share in item.explained],
+            'rms': [rms if math.isfinite(rms) else None for rms in item.rms]}
+
+
+def _changed(after: Configuration, before: Configuration) -> dict[str, float]:
+    """Return the keys of which one configuration has another number, with that number."""
+    now, was = after.to_flat(), before.to_flat()
+    return {key: value for key, value in now.items()
+            if isinstance(value, float) and value != was[key]}
 
 
 def _configuration(arguments: argparse.Namespace, data: RunData) -> Configuration:
@@ -162,9 +186,8 @@ def _own_lines(own: tuple[Configuration, int], whole: Prediction, better: Predic
     changed, number = own
     if not better.explained[0] - whole.explained[0] > SHOWN:
         return
-    before, after = c.to_flat(), changed.to_flat()
+    before = c.to_flat()
     keys = ', '.join(f'{key} = {value:.4g} in place of {before[key]:.4g}'
-                     for key, value in after.items()
-                     if isinstance(value, float) and value != before[key])
+                     for key, value in _changed(changed, c).items())
     yield (f'with the a{number} that suits this recording best, {keys}: '
            f'{percent(better.explained[0])} of x0, begun once')

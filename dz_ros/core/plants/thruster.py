@@ -33,8 +33,10 @@ from dz_ros.core.schema import parameter
 
 VOLTS = (10.0, 12.0, 16.0, 20.0)
 """Supply voltages of the figures [V]."""
-BAND_RIGHT = (44.0, 40.0, 32.0, 28.0)
-"""Upper edge of the dead band less 1500 µs at them [µs]; the lower edge is its negative."""
+BAND_RIGHT = (44.0, 40.0, 32.0, 32.0)
+"""Upper edge of the dead band less 1500 µs at them [µs]: the least that gives thrust."""
+BAND_LEFT = (-44.0, -40.0, -32.0, -28.0)
+"""The lower edge less 1500 µs [µs]."""
 SLOPE_RIGHT = (0.083, 0.104, 0.145, 0.180)
 """Mean slope of the thrust at them on the right [N/µs]."""
 SLOPE_LEFT = (0.066, 0.082, 0.113, 0.135)
@@ -49,10 +51,10 @@ EDGE_SPAN = 360.0
 """Distance from the band to full command, 400 µs less the band at 12 V [µs]."""
 
 ZONE = DeadZone(
-    m_r=1.0, m_l=SLOPE_LEFT[2] / SLOPE, b_r=BAND_RIGHT[2], b_l=-BAND_RIGHT[2],
+    m_r=1.0, m_l=SLOPE_LEFT[2] / SLOPE, b_r=BAND_RIGHT[2], b_l=BAND_LEFT[2],
     schedule_points=VOLTS, m_r_table=tuple(item / SLOPE for item in SLOPE_RIGHT),
     m_l_table=tuple(item / SLOPE for item in SLOPE_LEFT), b_r_table=BAND_RIGHT,
-    b_l_table=tuple(-item for item in BAND_RIGHT), edge_slope=EDGE_SLOPE, edge_span=EDGE_SPAN)
+    b_l_table=BAND_LEFT, edge_slope=EDGE_SLOPE, edge_span=EDGE_SPAN)
 """The curve, w in µs at `NOMINAL` volts on the right."""
 
 # ψ(t) = t: the numbers of ZONE with the voltage in the place of the time.

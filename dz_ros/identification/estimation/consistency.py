@@ -6,6 +6,7 @@ exclude the truth without a sign of it, so these data are refused (ours). What i
 
     number of holes in which samples are missing or no numbers
     step between neighbouring values of a signal       rounding, against how far it moves
+    the first state with its neighbours in time        jumps that no motion makes
     a signal with the integral of what was recorded as its rate      `rates`
 
 A rate that is wrong by little is a `Doubt`: no repeat differs by it, so the bounds of the slopes
@@ -40,7 +41,10 @@ VISIBLE = 0.004
 NAMED = 0.002
 """Share by which a rate has to be wrong to be named."""
 NOTED = 0.005
-"""Share of states lost from which on it is a note."""
+"""Share of states, or numbers of a signal, lost from which on it is a note."""
+JUMP, FASTEST, BESIDE = 20.0, 5.0, 3
+"""A change within a sample is a jump where it is JUMP times the median of the BESIDE changes
+before and after it, and FASTEST times that which few changes exceed."""
 
 _TOO_MANY = f'more than one hole in {1.0 / LOST:.0f} samples leaves no motion without one'
 
@@ -70,10 +74,16 @@ def check_samples(samples: Samples, c: Configuration) -> Doubt:
     for i, (name, values) in enumerate(zip(names, x.T, strict=True)):
         _check_steps(name, values[np.isfinite(values)], i,
                      i == samples.measured - 1)
+    jumped = _jumped(samples, names[0])
     pieces = windows(samples)
     scale, notes = 0.0, []
     for i, (slow, fast) in enumerate(pairwise(names)):
-        factor = check_rate(x[:, i], x[:, i + 1], pieces, samples.period, slow, fast)
+        try:
+            factor = check_rate(x[:, i], x[:, i + 1], pieces, samples.period, slow, fast)
+        except RecordingError as error:
+            if i == 0 and jumped:
+                raise RecordingError(f'{error}; {jumped}') from None
+            raise
         scale += abs(factor - 1.0)
         if abs(factor - 1.0) > NAMED:
             notes.append(f'{fast} is {factor:.4g} times the rate of {slow}: the bounds of the '
@@ -84,6 +94,11 @@ def check_samples(samples: Samples, c: Configuration) -> Doubt:
             notes.append(f'{fast} comes {abs(late) * 1e3:.3g} ms {way} '
                          f'the rate of {slow}, as behind a filter: the delay of the commands that '
                          'is found counts that as well')
+    notes += [f'{name} is not a number in {bad:.2g} % of the samples: what happened then is not '
+              'used' for name, values in zip(names, x.T, strict=True)
+              if (bad := 100.0 * float(np.mean(~np.isfinite(values)))) > 100.0 * NOTED]
+    if jumped:
+        notes.append(jumped)
     lost = _lost(samples)
     if lost > NOTED:
         notes.append(f'{lost:.0%} of the states are lost: what happened then is not used')
@@ -91,6 +106,33 @@ def check_samples(samples: Samples, c: Configuration) -> Doubt:
     if coarse:
         notes.append(f'{coarse}: the bounds do not count what that hides')
     return Doubt(scale, tuple(notes))
+
+
+def _jumped(samples: Samples, name: str) -> str:
+    """Return that the first state jumps; '' where it does not."""
+    rows = jumps(samples.x[:, 0], samples.seq)
+    if not len(rows):
+        return ''
+    size = samples.x[rows[0] + 1, 0] - samples.x[rows[0], 0]
+    return (f'{name} jumps {len(rows)} times, by {size:.4g} at {samples.t[rows[0]]:.4g} s: no '
+            'motion does that; unwrap angles, leave out wrong values')
+
+
+def jumps(values: Array, seq: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the rows after which a signal that its rate should explain jumps.
+
+    Args:
+        values: The signal, shape (K,); NaN where it is missing.
+        seq: Numbers of the samples, shape (K,).
+    """
+    change = np.where(np.diff(seq) == 1, np.abs(np.diff(values)), np.nan)
+    moving = change[change > 0.0]
+    if len(moving) < 100:
+        return np.array([], dtype=np.int64)
+    padded = np.pad(np.nan_to_num(change), BESIDE, mode='reflect')
+    beside = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1), axis=1)
+    limit = np.maximum(JUMP * beside, FASTEST * float(np.quantile(moving, 0.99)))
+    return np.flatnonzero(change > limit)
 
 
 def rounding(samples: Samples, c: Configuration) -> str:
