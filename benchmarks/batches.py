@@ -44,9 +44,10 @@ from dz_ros.studies.entrants import entrants  # noqa: E402
 from dz_ros.studies.outcome import rows_of  # noqa: E402
 from dz_ros.studies.pool import cores  # noqa: E402
 from dz_ros.studies.scenarios import base_configuration  # noqa: E402
+from dz_ros.studies.sweep import CHUNK  # noqa: E402
 
-TURNS, RUNS = 11, 10
-"""Turns of loops and rows; runs in each."""
+TURNS, RUNS, LOOPS = 11, CHUNK, 10
+"""Turns; in each rows as one task of a large sweep, and loops alone."""
 WHOLE, WHOLE_LIMIT = 100_000, 180.0
 """Runs of a large sweep, and how long they may take [s]."""
 STARTED = 3.0
@@ -108,15 +109,14 @@ def peak(process: int) -> float:
                 0.0)
 
 
-def swept(name: str, count: int) -> list[dict[str, Any]]:
-    """Return the changes of runs of an entrant: K where the law has one, else b, varies."""
-    own = dict(entrants()[name].changes)
-    gains = Configuration.from_changed(base_configuration(20.0), own).law.gains
+def swept(known: Configuration, count: int) -> list[dict[str, Any]]:
+    """Return the changes of a sweep: of K where the law has one, else of b."""
+    gains = known.law.gains
     key = next((key for key in ('k_d', 'k') if hasattr(gains, key)), None)
     if key is None:
-        return [{**own, 'plant.b': b} for b in np.linspace(0.8, 1.2, count).tolist()]
+        return [{'plant.b': b} for b in np.linspace(0.8, 1.2, count).tolist()]
     gain = float(getattr(gains, key))
-    return [{**own, f'controller.{key}': item}
+    return [{f'controller.{key}': item}
             for item in np.linspace(gain, 1.1 * gain + 0.1, count).tolist()]
 
 
@@ -136,15 +136,16 @@ def bare_seconds(configuration: Configuration, count: int) -> list[float]:
 def beside_bare(laws: Sequence[str], turns: int = TURNS) -> list[Row]:
     """Return how quick rows are beside their loops, for each law."""
     keep_compiled()
-    base, rows = base_configuration(20.0), []
+    rows = []
     for name in laws:
-        changes = swept(name, RUNS * (turns + 1))
-        known = Configuration.from_changed(base, changes[0])
+        known = Configuration.from_changed(base_configuration(20.0),
+                                           dict(entrants()[name].changes))
+        base, changes = known.to_flat(), swept(known, RUNS * (turns + 1))
         bare_seconds(known, 1)
         rows_of(base, changes[:RUNS])           # compiles, imports, warms up
         shares, bare, row = [], [], []
         for turn in range(1, turns + 1):
-            bare.append(statistics.median(bare_seconds(known, RUNS)))
+            bare.append(statistics.median(bare_seconds(known, LOOPS)))
             begin = time.process_time()
             rows_of(base, changes[turn * RUNS:(turn + 1) * RUNS])
             row.append((time.process_time() - begin) / RUNS)

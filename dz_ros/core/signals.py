@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 import enum
+from functools import lru_cache
 import re
 
 
@@ -92,6 +93,7 @@ BEFORE = '_before'
 _THETA = re.compile(r'theta([1-9][0-9]{0,2})', re.ASCII)
 
 
+@lru_cache(maxsize=1024)
 def theta(number: int) -> Signal:
     """Return θ̂ of a regressor, counted from 1."""
     return Signal(f'theta{number}', f'v/Y{number}', f'a_{number}/(b m)', Role.ESTIMATE,
@@ -105,8 +107,14 @@ def estimates(count: int) -> tuple[Signal, ...]:
 
 def before(memory: Iterable[Signal]) -> tuple[Signal, ...]:
     """Return the signals that publish a law's memory before the step."""
-    return tuple(replace(item, name=item.name + BEFORE, role=Role.MEMORY,
-                         meaning=f'{item.meaning}, before the step') for item in memory)
+    return tuple(map(_before, memory))
+
+
+@lru_cache(maxsize=1024)
+def _before(item: Signal) -> Signal:
+    """Return the signal that publishes one of them."""
+    return replace(item, name=item.name + BEFORE, role=Role.MEMORY,
+                   meaning=f'{item.meaning}, before the step')
 
 
 def declared(wanted: Iterable[str], known: Iterable[Signal] = ()) -> tuple[Signal, ...]:

@@ -73,8 +73,8 @@ class SimulatedActuator(Driver):
         self._grain = c.plant_settings.command_resolution
         self._play = c.plant_settings.backlash
         self._quanta = c.quanta
-        self._sigma = c.noise if any(c.noise) else None
-        self._random = np.random.default_rng(c.loop.seed)
+        self._noise = ((np.random.default_rng(c.loop.seed), np.asarray(c.noise))
+                       if any(c.noise) else None)
         self._pending: deque[tuple[float, float]] = deque()
 
     @classmethod
@@ -154,8 +154,9 @@ class SimulatedActuator(Driver):
     def measure(self) -> tuple[float, ...]:
         """Return what is measured of x, x', …: the true ones plus seeded noise, quantised."""
         found = list(self.x)
-        if self._sigma is not None:
-            noise = self._random.standard_normal(len(found)) * np.asarray(self._sigma)
+        if self._noise is not None:
+            random, sigma = self._noise
+            noise = random.standard_normal(len(found)) * sigma
             found = [value + float(error) for value, error in zip(found, noise, strict=True)]
         for i, quantum in enumerate(self._quanta):
             if quantum > 0.0:

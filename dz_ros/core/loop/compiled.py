@@ -133,16 +133,20 @@ def _compiled_loop(configuration: Configuration) -> Loop:
             configuration, lambda function: compiled(function, allocates, True),
             lambda function: compiled(function, allocates)), allocates))
 
-    loop = made(False)
+    loop, begun = made(False), False
 
     def run(*arguments: Any) -> None:
-        nonlocal loop
+        nonlocal loop, begun
+        if begun:
+            loop(*arguments)
+            return
         try:
             with _uncollected(not getattr(loop, 'signatures', True)):
                 loop(*arguments)
         except (NumbaError, KeyError):      # before anything has run; KeyError: unknown option
             loop = made(True)
             loop(*arguments)
+        begun = True        # the types of the arguments are always the same
 
     return run
 
