@@ -346,13 +346,13 @@ class Configuration:
     def _fitting(cls, flat: Mapping[str, Any], driven: bool,
                  replaced: Mapping[str, type | None], changed: Mapping[str, Any],
                  base: Configuration | None = None) -> Configuration:
-        """Make a configuration; lists of a replaced plant are set aside where they do not fit.
+        """Make a configuration; lists for another plant are set aside where they do not fit.
 
         Args:
             flat: Dotted key → value, `changed` included.
             driven: As of `from_flat`.
             replaced: As of `_build`.
-            changed: What was given together with the new plant, which must fit.
+            changed: Part of `flat` that replaces what was there; it must fit a plant it chooses.
             base: As of `_build`.
         """
         keys = dict(flat)
@@ -360,7 +360,7 @@ class Configuration:
             try:
                 built = cls._build(keys, driven, base, replaced)
             except ConfigurationError as error:
-                if ('plant' not in replaced or error.key in changed
+                if ('plant.model' not in changed or error.key in changed
                         or not error.key.startswith(('plant.', 'controller.'))
                         or not isinstance(keys.get(error.key), (list, tuple))):
                     raise

@@ -194,6 +194,9 @@ def test_lists_of_another_plant_that_do_not_fit_are_set_aside(change):
     assert caught.value.value == [1.0, 2.0]
     with pytest.raises(ConfigurationError, match=r'plant\.x0'):
         with_(**{'plant.x0': [1.0]})
+    default = {'plant.x0': [-2.5, 3.5]}     # names no plant
+    c = Configuration.from_changed(default, {'plant.model': 'valve_actuator'})
+    assert c.misfits('plant.x0')
 
 
 def test_axes_with_another_plant_set_their_lists_aside():
