@@ -32,8 +32,10 @@ from dz_ros.core.tracking import error_weights, feed_forward_weights
 
 Array = NDArray[np.float64]
 
-POINTS, STEPS = 64, 40
-"""Values tried to bracket a margin, and bisections of that bracket."""
+POINTS, STEPS = 64, 34
+"""Values tried to bracket a margin, and bisections of that bracket, to 1e-11 of the margin."""
+GRID = np.geomspace(1e-3, 2.0, POINTS)
+"""These values, as multiples of the slope's unit."""
 TOGETHER = 8
 """Values of the grid tried in one call; divides `POINTS`."""
 ROUNDS = 5
@@ -265,8 +267,8 @@ def spectral_radius(model: LayerModel, period: float, beta: float, delay: int,
     return float(_radii(model, period, delay, observer)(np.array([beta]))[0])
 
 
-def _largest(radii: Callable[[Array], Array], low: float, high: float) -> float:
-    """Return the largest value in [low, high] up to which the loop is calm; 0 = for none.
+def _largest(radii: Callable[[Array], Array], unit: float) -> float:
+    """Return the largest value within `GRID` up to which the loop is calm; 0 = for none.
 
     A loop that is not calm at low values is judged by its upper limit: a grid is tried from its
     upper end on, then the bracket found is halved `STEPS` times. What those bisections end at is
@@ -274,10 +276,9 @@ def _largest(radii: Callable[[Array], Array], low: float, high: float) -> float:
 
     Args:
         radii: Spectral radii at some values, shape (m,) → (m,).
-        low: Lower end of the grid.
-        high: Its upper end.
+        unit: Half the upper end of the grid.
     """
-    grid = np.geomspace(low, high, POINTS)
+    grid = GRID * unit
     found: list[float] = []
     for begin in range(POINTS - TOGETHER, -1, -TOGETHER):
         found = [*radii(grid[begin:begin + TOGETHER]).tolist(), *found]
@@ -287,7 +288,7 @@ def _largest(radii: Callable[[Array], Array], low: float, high: float) -> float:
     else:
         return 0.0
     if begin + last == POINTS - 1:
-        return high
+        return 2.0 * unit
     values = grid[begin:].tolist()
     below, above = values[last], values[last + 1]
     # From above: below the margin a root that has nothing to do with it may be the largest.
@@ -337,7 +338,7 @@ def largest_beta(model: LayerModel, period: float, delay: int,
     """Return the largest β without chatter [unit of x^(n) per actuator unit]; 0 = none."""
     # Without delay, memory and observer the loop ends at slope β T = 2.
     unit = 2.0 / (abs(float(model.d[-1])) * period)
-    return _largest(_radii(model, period, delay, observer), 1e-3 * unit, 2.0 * unit)
+    return _largest(_radii(model, period, delay, observer), unit)
 
 
 def largest_gain(model: Callable[[float], LayerModel | None], period: float, beta: float,
@@ -354,5 +355,4 @@ def largest_gain(model: Callable[[float], LayerModel | None], period: float, bet
                 else spectral_radius(found, period, beta, delay, observer(gain)))
 
     unit = 2.0 / (beta * period)
-    return _largest(lambda gains: np.array([radius(gain) for gain in gains.tolist()]),
-                    1e-3 * unit, 2.0 * unit)
+    return _largest(lambda gains: np.array([radius(gain) for gain in gains.tolist()]), unit)
