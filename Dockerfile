@@ -3,6 +3,8 @@
 #   docker build -t dz_ros . && docker run --rm --net=host dz_ros dz run --duration 20
 FROM ros:jazzy-ros-base-noble
 SHELL ["/bin/bash", "-o", "pipefail", "-c"]
+# rosdep installs two packages with pip, which Ubuntu's Python refuses by default.
+ENV PIP_BREAK_SYSTEM_PACKAGES=1
 WORKDIR /workspace/src/dz_ros
 COPY package.xml ./
 # hadolint ignore=DL3008

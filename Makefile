@@ -26,7 +26,7 @@ help:  ## this list
 	@echo 'make PYTHON=python3.12 … chooses the Python, make test PYTEST_ARGS="-k dead_zone" the tests.'
 
 demo:  ## 20 s of the paper's example in real time as four ROS 2 processes, recorded and reported
-	$(environment) ros
+	$(environment) ros live
 	$(bin)/dz run config/wang2004.yaml --duration 20 --record $(RUN)
 	$(bin)/dz report $(RUN)
 
@@ -94,8 +94,8 @@ bench-quick:  ## the ratios that a minute can tell
 	$(environment) ros test bench numba
 	$(bin)/python benchmarks/performance.py --quick
 
-bench-all: bench  ## every other figure the documents quote as well
-	set -e; for script in $$(grep -l __main__ benchmarks/*.py | grep -v performance); do \
+bench-all: bench  ## every other figure the documents quote as well, but those of a log that is not here
+	set -e; for script in $$(grep -l __main__ benchmarks/*.py | grep -v 'performance\|real_log'); do \
 	  echo "== $$script"; $(bin)/python $$script; done
 
 bench-faults:  ## inject faults into real loops, and write what happened into docs/safety.md

@@ -36,7 +36,7 @@ def run(path, folder, environment, with_ros):
 
 
 def test_there_are_tutorials():
-    assert {'paper', 'motor', 'law', 'driver'} <= {path.stem for path in TUTORIALS}
+    assert {'paper', 'motor', 'law', 'driver', 'report', 'tuning'} <= {path.stem for path in TUTORIALS}
 
 
 @pytest.mark.parametrize('path', TUTORIALS, ids=lambda path: path.stem)

@@ -178,6 +178,6 @@ def test_elsewhere_the_first_line_does_not_wait_for_the_first_run(monkeypatch, c
     timers[0]()
     assert capsys.readouterr().err == ''
     counted = Progress(3)
-    del counted                     # ended by an error, say
+    del counted                     # as after an error
     timers[1]()
     assert capsys.readouterr().err == ''

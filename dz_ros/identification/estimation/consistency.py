@@ -114,8 +114,8 @@ def _jumped(samples: Samples, name: str) -> str:
     if not len(rows):
         return ''
     size = samples.x[rows[0] + 1, 0] - samples.x[rows[0], 0]
-    return (f'{name} jumps {len(rows)} times, by {size:.4g} at {samples.t[rows[0]]:.4g} s: no '
-            'motion does that; unwrap angles, leave out wrong values')
+    return (f'{name} jumps {len(rows)} times, by {size:.4g} at {samples.t[rows[0]]:.4g} s: '
+            'no motion does that; unwrap angles, leave out wrong values')
 
 
 def jumps(values: Array, seq: NDArray[np.int64]) -> NDArray[np.int64]:
