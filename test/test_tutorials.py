@@ -36,7 +36,8 @@ def run(path, folder, environment, with_ros):
 
 
 def test_there_are_tutorials():
-    assert {'paper', 'motor', 'law', 'driver', 'report', 'tuning'} <= {path.stem for path in TUTORIALS}
+    assert {path.stem for path in TUTORIALS} == {'paper', 'motor', 'law', 'driver', 'report',
+                                                  'tuning'}
 
 
 @pytest.mark.parametrize('path', TUTORIALS, ids=lambda path: path.stem)
