@@ -3,6 +3,7 @@
 
     python benchmarks/examples.py            print the table
     python benchmarks/examples.py --write    write docs/examples.md and docs/images
+    python benchmarks/examples.py --write NAME …    only these; the page keeps the others
 
 Each run is four processes, recorded and reported as `make demo` does it.
 """
@@ -22,6 +23,7 @@ from machine import describe
 
 ROOT = Path(__file__).resolve().parent.parent
 IMAGES = ROOT / 'docs' / 'images'
+PAGE = ROOT / 'docs' / 'examples.md'
 EXAMPLES = {
     'wang2004': "the paper's example, plant (19) as printed",
     'robust_eso': 'the same with the recommended law',
@@ -102,15 +104,24 @@ def main() -> int:
                     if (report / f'{kind}.png').exists():
                         shutil.copy(report / f'{kind}.png', IMAGES / f'{name}_{kind}.png')
     if arguments.write:
-        write(machine, rows)
+        where = f'Measured on {machine}.'
+        if set(arguments.names) != set(EXAMPLES):
+            text = PAGE.read_text(encoding='utf-8')
+            before = text[text.index('Measured on '):].split('\n')[0]
+            names = ', '.join(f'`{name}`' for name in rows)
+            where = f'{before.partition("; ")[0].rstrip(".")}; {names} on {machine}.'
+            rows = {name: rows.get(name) or '\n'.join(
+                line for line in text.splitlines()
+                if line.startswith((f'| `{name}`', f'| `{name}:'))) for name in EXAMPLES}
+        write(where, rows)
     return 0
 
 
-def write(machine: str, rows: dict[str, str]) -> None:
+def write(where: str, rows: dict[str, str]) -> None:
     """Write docs/examples.md."""
     lines = ['# Examples', '', 'Written by `python benchmarks/examples.py --write`: every '
              'configuration that ships, run in real time as four processes over DDS, recorded and '
-             'reported.', '', f'Measured on {machine}.', '', HEADER, *rows.values(), '',
+             'reported.', '', where, '', HEADER, *rows.values(), '',
              'x̃ in the unit of the output, TV: total variation of v per second, window: '
              'the part of the run the first five figures are of. Each plant, with units and '
              'sources, is in its configuration: `config/`. The timing columns depend on what else '
@@ -120,7 +131,7 @@ def write(machine: str, rows: dict[str, str]) -> None:
         for kind, shown in PICTURES.items():
             if (IMAGES / f'{name}_{kind}.png').exists():
                 lines += [f'![{shown.format(name=name)}](images/{name}_{kind}.png)', '']
-    (ROOT / 'docs' / 'examples.md').write_text('\n'.join(lines))
+    PAGE.write_text('\n'.join(lines), encoding='utf-8')
 
 
 if __name__ == '__main__':
