@@ -145,7 +145,7 @@ def beside_bare(laws: Sequence[str], turns: int = TURNS) -> list[Row]:
         rows_of(base, changes[:RUNS])           # compiles, imports, warms up
         shares, bare, row = [], [], []
         for turn in range(1, turns + 1):
-            bare.append(statistics.median(bare_seconds(known, LOOPS)))
+            bare.append(statistics.fmean(bare_seconds(known, LOOPS)))
             begin = time.process_time()
             rows_of(base, changes[turn * RUNS:(turn + 1) * RUNS])
             row.append((time.process_time() - begin) / RUNS)
