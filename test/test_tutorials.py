@@ -36,8 +36,8 @@ def run(path, folder, environment, with_ros):
 
 
 def test_there_are_tutorials():
-    assert {path.stem for path in TUTORIALS} == {'paper', 'motor', 'law', 'driver', 'report',
-                                                  'tuning'}
+    known = {'paper', 'motor', 'law', 'driver', 'report', 'tuning'}
+    assert {path.stem for path in TUTORIALS} == known
 
 
 @pytest.mark.parametrize('path', TUTORIALS, ids=lambda path: path.stem)
