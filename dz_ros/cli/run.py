@@ -39,6 +39,7 @@ from dz_ros.cli.processes import (
 )
 from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
+from dz_ros.core.lateness import fell_behind
 from dz_ros.core.text import printable
 from dz_ros.errors import DzRosError, LoopError
 from dz_ros.files.configurations import format_parameters
@@ -60,6 +61,7 @@ _LATCHED = re.compile(r'\[([\w./]+)\]: (fault: .*); the safe command is out unti
 _RESET = re.compile(r'\[([\w./]+)\]: (?:reset: |estop: )')
 _COUNTS = re.compile(r'\[[\w./]+\]: (\d+ samples(?:, | in lockstep).*)')
 """Lines of the nodes' logs that the verdict needs where nothing is recorded."""
+_COUNT = re.compile(r'(\d+) (samples|skipped)')
 LARGEST = 300e6
 """A recording larger than this is not read for the verdict [bytes]."""
 _COLOUR = re.compile(r'\x1b\[[0-9;]*m')
@@ -190,7 +192,10 @@ class _Loop:
             except (DzRosError, OSError) as error:
                 self._print(f'dz: note: {error}')
         failures = [*self._failures(), *_latched_text(self._latched)]
-        self._print('verdict: ' + (f'FAILED: {"; ".join(failures)}' if failures else 'no failure')
+        counts = {word: int(count) for count, word in _COUNT.findall(self._counts)}
+        behind = fell_behind(counts.get('samples', 0), counts.get('skipped', 0))
+        self._print('verdict: ' + (f'FAILED: {"; ".join(failures)}' if failures else
+                                   ', but '.join(filter(None, ('no failure', behind))))
                     + (f'; {self._counts}' if self._counts else ''))
         self._print('next: dz report ' + str(self._directory) if self._directory is not None
                     else 'next: with --record DIR the run is kept for dz report')

@@ -42,6 +42,7 @@ class Guarantee:
         beyond: What this run has that the theorem leaves out.
         covered: What k* covers, and whether it covers the disturbance of this run; empty where
             that is unknown.
+        exceeded: Whether the run had a larger disturbance than that, which the theorem excludes.
     """
 
     statement: str
@@ -49,11 +50,13 @@ class Guarantee:
     broken: tuple[str, ...]
     beyond: tuple[str, ...]
     covered: str = ''
+    exceeded: bool = False
 
 
 def guarantee(view: View) -> Guarantee:
     """Return what the theorem promises of a run; chatter is judged for any law with a layer."""
-    found = replace(_promised(view), covered=_covered(view))
+    covered, exceeded = _covered(view)
+    found = replace(_promised(view), covered=covered, exceeded=exceeded)
     return replace(found, beyond=(*found.beyond, *_chatter(view))) if view.has_layer else found
 
 
@@ -92,7 +95,7 @@ def _promised(view: View) -> Guarantee:
     if not view.has_layer or setting.lambda_ is None:
         return Guarantee(f'The law {setting.law} has no boundary layer; no bound of its error is '
                          'promised.', None, (), ())
-    bounds = guaranteed_bounds(setting.lambda_, float(np.nanmax(view.epsilon)), setting.order)
+    bounds = guaranteed_bounds(setting.lambda_, view.widest, setting.order)
     if setting.law not in PROVEN:
         return Guarantee(f"Ω_ε is the set of the paper's theorem, which is not about the law "
                          f'{setting.law or "of this run"}: for comparison only.', bounds, (), ())
@@ -124,17 +127,18 @@ def _broken(c: Configuration, simulated: bool) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _covered(view: View) -> str:
-    """Return what k* covers, as `dz check` states it, and the largest disturbance of the run."""
+def _covered(view: View) -> tuple[str, bool]:
+    """Return what k* covers, as `dz check` states it, and whether the run had more."""
     c = view.setting.configuration
     gain = None if c is None else RobustGain.of(c)
     if gain is None:
-        return ''
+        return '', False
     disturbance = view.rows.truth.get('disturbance')
     if disturbance is None or gain.design.k <= 0.0 or not gain.covers():
-        return f'{gain.words}.'
+        return f'{gain.words}.', False
     largest = float(np.abs(np.nan_to_num(disturbance)).max(initial=0.0))
-    return f'{gain.words}; this run had {largest:.4g} of it{gain.beside(largest)}.'
+    return (f'{gain.words}; this run had {largest:.4g} of it{gain.beside(largest)}.',
+            view.setting.law in PROVEN and not gain.covers(largest))
 
 
 def _observed(view: View) -> str:

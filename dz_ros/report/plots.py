@@ -138,8 +138,7 @@ def omega(view: View) -> tuple[float, ...] | None:
     """Return the bounds of Ω_ε in the units of x, x', …; None where λ or ε is unknown."""
     if not view.has_layer or view.setting.lambda_ is None:
         return None
-    return guaranteed_bounds(view.setting.lambda_, float(np.nanmax(view.epsilon)),
-                             view.setting.order)
+    return guaranteed_bounds(view.setting.lambda_, view.widest, view.setting.order)
 
 
 def _bound(ax: Any, bound: float, label: str | None = None) -> None:
@@ -197,7 +196,7 @@ def filtered(view: View, name: str = 'filtered_error') -> Picture | None:
                 _layer(ax, rows.t[shown], epsilon)
             line(ax, rows.t[shown], view.s[shown], 's', color=BLUE, label='$s$')
             if view.has_layer and place < len(found) - 1:
-                ax.set_yscale('symlog', linthresh=float(np.nanmax(view.epsilon)), linscale=1.0)
+                ax.set_yscale('symlog', linthresh=view.widest, linscale=1.0)
             elif view.has_layer:
                 known = epsilon[np.isfinite(epsilon)]       # none where the law was not active
                 fit_y(ax, view.s[shown], include=(known.max(), -known.max()) if len(known) else ())

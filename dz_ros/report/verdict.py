@@ -19,7 +19,7 @@ from dz_ros.core.events import (
     typed,
     UnmeasuredEvent,
 )
-from dz_ros.core.lateness import LATE_TEXT
+from dz_ros.core.lateness import fell_behind, LATE_TEXT
 from dz_ros.core.records import Status
 from dz_ros.report import page
 from dz_ros.report.guarantee import guarantee
@@ -33,15 +33,19 @@ class Verdict:
     Attributes:
         failures: Why the run failed, a line each; empty = it did not.
         facts: What else a reader must know, a line each.
+        doubts: What makes the numbers of a run that did not fail those of something else.
     """
 
     failures: tuple[str, ...]
     facts: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
     @property
     def headline(self) -> str:
         """The verdict in one line."""
-        return f'FAILED: {"; ".join(self.failures)}' if self.failures else 'no failure'
+        if self.failures:
+            return f'FAILED: {"; ".join((*self.failures, *self.doubts))}'
+        return ', but '.join(filter(None, ('no failure', '; '.join(self.doubts))))
 
     def lines(self) -> list[str]:
         """Return the verdict as lines for a terminal."""
@@ -72,7 +76,8 @@ def judge(view: View) -> Verdict:
     return Verdict(tuple(failures), tuple(filter(None, (
         _end(view), _modes(view),
         f'{unmeasured} samples without a measurement' if unmeasured else '',
-        _samples(view, bool(lost)), _inactive(view), _guaranteed(view)))))
+        _samples(view, bool(lost)), _inactive(view), _guaranteed(view), _uncovered(view)))),
+        tuple(filter(None, (fell_behind(len(view.rows.seq), _skipped(view)),))))
 
 
 def latched_faults(view: View) -> list[tuple[str, float, str]]:
@@ -128,9 +133,17 @@ def _samples(view: View, lost: bool) -> str:
     if state is not None and state.late is not None:
         found.append(f'{state.late} more than {LATE_TEXT} late')
     if period is not None and view.setting.mode == 'realtime':
-        steps = np.rint(np.diff(rows.t) / period) - np.diff(rows.seq)
-        found.append(f'{int(steps[steps > 0].sum())} skipped')
+        found.append(f'{_skipped(view)} skipped')
     return ', '.join(found)
+
+
+def _skipped(view: View) -> int:
+    """Return the number of samples that a loop in real time never began."""
+    rows, period = view.rows, view.setting.period
+    if period is None or view.setting.mode != 'realtime':
+        return 0
+    steps = np.rint(np.diff(rows.t) / period) - np.diff(rows.seq)
+    return int(steps[steps > 0].sum())
 
 
 def _inactive(view: View) -> str:
@@ -150,5 +163,17 @@ def _guaranteed(view: View) -> str:
     if found.bounds is None or share is None:
         return found.statement
     begin, end = view.metrics.window
-    return (f'within Ω_ε in {100.0 * share:.4g} % of {begin:g} to {end:g} s. '
+    error = np.abs(view.rows.error)
+    outside = np.flatnonzero(~(error <= np.asarray(found.bounds)).all(axis=1))
+    last = int(outside[-1]) + 1 if len(outside) else 0
+    since = (f', from {view.rows.t[last]:.4g} s on without a break' if 0.0 < share < 1.0
+             and last < len(error) else '')
+    return (f'within Ω_ε in {100.0 * share:.4g} % of {begin:g} to {end:g} s{since}. '
             f'{"" if not found.broken else found.broken[0] + " "}{found.statement}')
+
+
+def _uncovered(view: View) -> str:
+    """Return that the run had a larger disturbance than the theorem's gain covers."""
+    found = guarantee(view)
+    return (f'that promise is for a disturbance that k* covers: {found.covered.rstrip(".")}'
+            if found.exceeded and not found.broken else '')

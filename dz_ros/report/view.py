@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,15 @@ class View:
     @property
     def has_layer(self) -> bool:
         """True where the law has a boundary layer of known width."""
-        return bool(np.isfinite(self.epsilon).any())
+        return bool(np.isfinite(self.widest))
+
+    @property
+    def widest(self) -> float:
+        """Largest ε, that of the configuration where the law was never active; NaN = none."""
+        known = self.epsilon[np.isfinite(self.epsilon)]
+        if len(known):
+            return float(known.max())
+        return math.nan if self.setting.epsilon is None else self.setting.epsilon
 
     @property
     def terms(self) -> tuple[Signal, ...]:

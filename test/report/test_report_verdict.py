@@ -3,6 +3,7 @@
 
 from dataclasses import replace
 import json
+import re
 
 import numpy as np
 import pytest
@@ -135,3 +136,37 @@ def test_ages_of_commands_are_listed_where_they_are_few():
     assert ages({0: 198, 1: 1}) == '1 sample in 198 cases, 2 samples in 1 case'
     assert ages({0: 198, **dict.fromkeys(range(4, 201), 1)}) == (
         '1 sample in 198 cases, 5 samples in 1 case, more than 5 samples in 196, at most 201')
+
+
+def test_a_machine_that_did_not_keep_up_is_in_the_first_line(run, over_topics):
+    view = View.of(over_topics(run))
+    view = replace(view, setting=replace(view.setting, mode='realtime'))
+    assert judge(view).headline == 'no failure'
+    late = view.rows.t + np.where(np.arange(len(view.rows.t)) > 100, 0.5, 0.0)
+    behind = replace(view, rows=replace(view.rows, t=late))
+    assert judge(behind).failures == ()
+    assert 'no failure, but the machine did not keep up: 100 of' in judge(behind).headline
+
+
+def test_a_run_without_the_law_keeps_its_layer(run):
+    terms = run.channels['terms']
+    values = terms.values.copy()
+    values[:, list(terms.labels).index('status')] = float(Status.INACTIVE)
+    view = View.of(replace(run, channels={**run.channels, 'terms': replace(terms,
+                                                                           values=values)}))
+    assert view.has_layer
+    assert view.widest == view.setting.epsilon
+    assert not any('no boundary layer' in fact for fact in judge(view).facts)
+    without = replace(view, setting=replace(view.setting, epsilon=None))
+    assert not without.has_layer
+
+
+def test_what_k_star_covers_and_since_when_the_error_is_within_are_facts(simulated):
+    found = judge(View.of(simulated({'loop.duration': 8.0, 'controller.law': 'wang2004'})))
+    within = next(fact for fact in found.facts if fact.startswith('within'))
+    since = float(re.search(r'from ([\d.]+) s on without a break', within)[1])
+    assert 4.0 < since < 8.0
+    assert any(re.match('that promise is for a disturbance that k\\* covers: .* this run had '
+                        '1.26.* of it, more than k', fact) for fact in found.facts)
+    quiet = simulated({'loop.duration': 8.0, 'controller.law': 'wang2004', 'plant.a3': 0.5})
+    assert not any('that promise' in fact for fact in judge(View.of(quiet)).facts)

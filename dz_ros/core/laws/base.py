@@ -51,8 +51,8 @@ def per_regressor(values: Sequence[float], count: int, key: str) -> tuple[float,
         return tuple(values)
     if len(values) == 1:
         return tuple(values) * count
-    raise ConfigurationError(f'controller.{key}', list(values),
-                             f'must have 1 or {count} numbers, one for each regressor')
+    allowed = '1 number' if count == 1 else f'1 or {count} numbers, one for each regressor'
+    raise ConfigurationError(f'controller.{key}', list(values), f'must have {allowed}')
 
 
 @dataclass(frozen=True)

@@ -111,8 +111,8 @@ class RobustEsoGains(ProjectionGains, AdaptiveGains):
                                minimum=0.0, open_minimum=True)
     k_d: float = parameter(10.0, 'actuator unit per unit of s', 'damping gain k_d of (14), at '
                            'most K/6', minimum=0.0, open_minimum=True)
-    k_star: float = parameter(4.0, 'actuator unit', 'robust gain k* of (14), (18); 4 covers the '
-                              'disturbance of the example too', minimum=0.0, open_minimum=True)
+    k_star: float = parameter(4.0, 'actuator unit', 'robust gain k* of (14), (18), for '
+                              'dead-zone and disturbance', minimum=0.0, open_minimum=True)
     layer_gain: float = parameter(60.0, 'actuator unit per unit of s', 'K0, the slope of v in the '
                                   'layer; by rule 0.375 μ_d/(β T), 0.26 for a quiet set',
                                   minimum=0.0, open_minimum=True)
