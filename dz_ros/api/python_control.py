@@ -15,6 +15,7 @@ from dz_ros.core.deadzone import dead_zone
 from dz_ros.core.plants.base import Plant
 from dz_ros.core.schema import parameter
 from dz_ros.errors import ConfigurationError, MissingDependencyError
+from dz_ros.files.configurations import load_configuration
 
 Array = NDArray[np.float64]
 
@@ -89,16 +90,19 @@ def from_control(system: Any, *, b: float | None = None, state_units: Sequence[s
         'regressors': staticmethod(regressors)}))
 
 
-def to_control(plant: Plant | Configuration) -> Any:
+def to_control(plant: Plant | Configuration | str) -> Any:
     """Return a plant as a ``control.NonlinearIOSystem``: input w or, with its dead-zone, v.
 
     Args:
-        plant: A plant (input w), or a configuration: its plant behind its dead-zone (input v).
+        plant: A plant (input w), or a configuration, its name or file: its plant behind its
+            dead-zone (input v).
 
     Raises:
         ConfigurationError: Neither a plant nor a configuration of one axis.
         MissingDependencyError: python-control is not installed.
     """
+    if isinstance(plant, str):
+        plant = load_configuration(plant)
     if not isinstance(plant, (Plant, Configuration)):
         raise ConfigurationError('plant', plant, 'must be a plant or a configuration')
     if isinstance(plant, Configuration):

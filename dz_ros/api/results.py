@@ -126,15 +126,24 @@ class Run:
     def to_pandas(self) -> Any:
         """Return the columns as a DataFrame with index t [s]; ``attrs['units']`` has their units.
 
+        Of several axes the columns have two levels, axis and column, and the units as well.
+
         Raises:
             MissingDependencyError: pandas is not installed.
         """
+        if self.axes:
+            each = {name: self.axis(name).to_pandas() for name in self.axes}
+            frame = _pandas().concat(each, axis=1, names=['axis', 'column'])
+            frame.attrs['units'] = {name: item.attrs['units'] for name, item in each.items()}
+            return frame
         frame = _pandas().DataFrame(self.columns).set_index('t')
         frame.attrs['units'] = self.units
         return frame
 
     def plot(self, *names: str) -> Any:
         """Return figures of the run: a matplotlib Figure for one name, name → Figure otherwise.
+
+        Of several axes: axis → what it is for each.
 
         Args:
             *names: tracking, error, command, filtered_error, estimates, …; none = all there are.
@@ -143,6 +152,8 @@ class Run:
             ConfigurationError: No figure of that name for this run.
             MissingDependencyError: matplotlib is not installed.
         """
+        if self.axes:
+            return {name: self.axis(name).plot(*names) for name in self.axes}
         return _figures({picture.name: picture.figure for picture in pictures(self.view)}, names)
 
     def save(self, directory: str | os.PathLike[str]) -> Path:
@@ -162,9 +173,10 @@ class Run:
         return len(first.view.rows.seq)
 
     def __repr__(self) -> str:
-        """Return one line: what ran, how well, a failure; of several axes their names."""
+        """Return one line: what ran, how well, a failure; of several axes a line for each."""
         if self.axes:
-            return f'<Run {f"{self.name}: " if self.name else ""}{spoken(self.axes)}>'
+            first = f'<Run {f"{self.name}: " if self.name else ""}{spoken(self.axes)}'
+            return '\n'.join([first, *(f'  {self.axis(name)!r}' for name in self.axes)]) + '>'
         setting, metrics = self.view.setting, self.metrics
         unit = f' {setting.unit("x")}'.removesuffix(' 1').rstrip()
         error = '' if metrics.error_max is None else f', max|x̃| {metrics.error_max:.4g}{unit}'

@@ -127,6 +127,17 @@ class Configuration:
         return (f'<Configuration {self.law.name} on {self.plant.name}, {self.trajectory.name}, '
                 f'{self.loop.rate:g} Hz, {end}>')
 
+    def __getitem__(self, key: str) -> Any:
+        """Return the value of a dotted key, arrays as lists.
+
+        Raises:
+            ConfigurationError: This configuration has no such key.
+        """
+        flat = self.to_flat()
+        if key not in flat:
+            raise schema.unknown_key(key, None, flat)
+        return flat[key]
+
     @property
     def axis_names(self) -> tuple[str, ...]:
         """Names of the axes; empty: one without a name."""

@@ -210,6 +210,14 @@ def build(group: type[Group], values: Mapping[str, Any], prefix: str = '') -> Gr
     return made
 
 
+def shown(group: Any, most: int = 6) -> str:
+    """Return parameters as ``name=value, …`` for a repr, the first ones of many."""
+    found = to_dict(group)
+    words = [f'{name}={value:g}' if isinstance(value, float) else f'{name}={value}'
+             for name, value in list(found.items())[:most]]
+    return ', '.join([*words, '…'] if len(found) > most else words)
+
+
 def to_dict(group: Any) -> dict[str, Any]:
     """Return outside name → value of every parameter; arrays as lists."""
     found = {}

@@ -5,6 +5,7 @@ Over 300 lines: all public names, on runs that are made once.
 """
 
 from collections.abc import Sequence
+import contextlib
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path
@@ -180,7 +181,7 @@ def test_a_comparison_names_what_differs():
     with pytest.raises(ConfigurationError, match='2 different names'):
         dz.compare(*runs, names=('one', 'one'))
     with pytest.raises(ConfigurationError, match='must be a run, as simulate and read'):
-        dz.compare(runs[0], 'runs/a')
+        dz.compare(runs[0], 3)
 
 
 def test_the_rules_report_what_they_find():
@@ -227,7 +228,15 @@ def test_recordings_of_several_axes_are_compared_axis_by_axis(tmp_path):
         dz.Run(from_runs(simulate_axes(c), c)).save(tmp_path / name)
     a, b = dz.read(tmp_path / 'a'), dz.read(tmp_path / 'b')
     assert a.axes == ('surge', 'sway', 'yaw')
-    assert repr(a) == '<Run a: axes surge, sway, yaw>'
+    first, *rest = repr(a).splitlines()
+    assert first == '<Run a: axes surge, sway, yaw'
+    assert len(rest) == 3
+    assert rest[2].startswith('  <Run a yaw: ')
+    table = a.to_pandas()
+    assert set(table.columns.get_level_values('axis')) == {'surge', 'sway', 'yaw'}
+    assert np.array_equal(table['yaw']['v'], a.axis('yaw').v)
+    assert table.attrs['units']['yaw'] == a.axis('yaw').units
+    assert set(a.plot('error')) == {'surge', 'sway', 'yaw'}
     assert len(a) == len(a.axis('yaw')) == 101
     assert not a.axis('yaw').axes
     with pytest.raises(RecordingError, match=r'choose one with axis\(\)'):
@@ -284,6 +293,47 @@ def test_plants_to_and_from_python_control():
     inside = 0.5 * configuration.dead_zone.b_r
     assert np.array_equal(with_zone.dynamics(0.0, x, [inside]), bare.dynamics(0.0, x, [0.0]))
     assert with_zone.dynamics(0.0, x, [inside])[1] != bare.dynamics(0.0, x, [inside])[1]
+
+
+def test_another_plant_is_one_word_here_too():
+    c = dz.load('wang2004', {'plant.model': 'valve_actuator', **SHORT})
+    assert {'plant.x0', 'controller.theta_0'} <= set(c.set_aside)
+    assert dz.simulate(c).x.shape == (401, 3)
+    assert dz.load('wang2004', {'plant.model': Mass})['plant.model'] == Mass.name
+    with pytest.raises(ConfigurationError, match=r'must have 1 number$'):
+        dz.load('wang2004', {'plant.model': Mass, 'controller.theta_0': [1.0, 2.0]})
+
+
+def test_values_are_read_by_key_and_objects_show_what_they_are():
+    c = dz.load('servo', {'controller.lambda': 4.0})
+    assert c['controller.lambda'] == 4.0
+    assert c['plant.x0'] == list(c.x0)
+    with pytest.raises(ConfigurationError, match=r'did you mean controller\.lambda'):
+        c['controller.lamda']
+    assert repr(c.plant).startswith('<Servo inertia=')
+    assert repr(c.trajectory).startswith('<')
+    assert 'at 0x' not in repr(c.trajectory) + repr(c.law)
+    assert repr(c.law).endswith('…>')
+    assert repr(dz.load({'controller.law': 'pd'}).law).startswith('<Pd for order 2, 200 Hz: ')
+
+
+def test_recordings_are_compared_by_path(tmp_path):
+    for name, law in (('a', 'pd'), ('b', 'robust')):
+        dz.simulate('wang2004', {'controller.law': law, **SHORT}).save(tmp_path / name)
+    found = dz.compare(tmp_path / 'a', str(tmp_path / 'b'))
+    assert list(found.comparison.views) == ['a', 'b']
+    with pytest.raises(ConfigurationError, match='or the path of one'):
+        dz.compare(3, 4)
+
+
+def test_few_runs_of_a_sweep_need_no_processes(monkeypatch):
+    jobs = []
+    monkeypatch.setattr('dz_ros.studies.sweep.run_sweep',
+                        lambda plan, file, count: jobs.append(count) or file.write_text('run\n'))
+    for count in (3, 21):
+        with contextlib.suppress(Exception):
+            dz.sweep('wang2004', {'plant.b': list(range(1, count + 1))})
+    assert jobs == [1, 0]
 
 
 def test_what_is_no_system_of_python_control_is_refused():

@@ -29,6 +29,7 @@ from typing import Any, ClassVar
 
 from dz_ros.core.design.linear_loop import LayerModel, surface_model
 from dz_ros.core.records import Command, Reference, State, Status, Terms
+from dz_ros.core.schema import shown
 from dz_ros.core.signals import BEFORE, names, Role, Signal, STATUS
 from dz_ros.errors import ConfigurationError
 
@@ -156,6 +157,11 @@ class Law(ABC):
             allowed = ' or '.join(str(item) for item in self.orders)
             raise ConfigurationError('controller.law', self.name,
                                      f'needs a plant of order {allowed}, this one has {order}')
+
+    def __repr__(self) -> str:
+        """Return one line: the law, what it is for, its gains."""
+        return (f'<{type(self).__name__} for order {self.order}, {1.0 / self.period:g} Hz: '
+                f'{shown(self.gains)}>')
 
     @property
     @abstractmethod

@@ -16,6 +16,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
+from dz_ros.core.schema import shown
+
 
 class Plant(ABC):
     """A plant in normal form; subclass it to add your own.
@@ -48,6 +50,10 @@ class Plant(ABC):
 
     def __init__(self, parameters: Any = None) -> None:
         self.parameters = self.Parameters() if parameters is None else parameters
+
+    def __repr__(self) -> str:
+        """Return one line: the plant and its parameters."""
+        return f'<{type(self).__name__} {shown(self.parameters)}>'
 
     @property
     @abstractmethod

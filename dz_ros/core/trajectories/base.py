@@ -12,7 +12,7 @@ from functools import cached_property
 import math
 from typing import Any, ClassVar
 
-from dz_ros.core.schema import fields
+from dz_ros.core.schema import fields, shown
 
 
 class Trajectory(ABC):
@@ -33,6 +33,10 @@ class Trajectory(ABC):
     def __init__(self, parameters: Any = None, order: int = 2) -> None:
         self.parameters = self.Parameters() if parameters is None else parameters
         self.order = order
+
+    def __repr__(self) -> str:
+        """Return one line: the trajectory and its parameters."""
+        return f'<{type(self).__name__} {shown(self.parameters)}>'
 
     @cached_property
     def constants(self) -> tuple[float, ...]:
