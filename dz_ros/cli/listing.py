@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``dz list [KIND]``: what a configuration can choose from, and every key it can have."""
+"""``dz list [KIND [PART]]``: what a configuration can choose from, and every key it can have."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the verb's arguments."""
     parser.add_argument('kind', nargs='?', metavar='KIND',
                         help=f'{", ".join(KINDS)} (default: all)')
+    parser.add_argument('part', nargs='?', default='', metavar='PART',
+                        help='only what has this in its name, e.g. dz list keys lambda')
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -34,10 +36,14 @@ def run(arguments: argparse.Namespace) -> int:
     for name in KINDS if kind is None else (kind,):
         if kind is None:
             print(f'{name}:')
-        lines = list(KINDS[name]())
+        lines = [line for line in KINDS[name]() if arguments.part in line[0]]
         width = max((len(item) for item, _ in lines), default=0)
         for item, summary in lines:
             print(f'{"" if kind else "  "}{item:<{width}}  {summary}')
+        if arguments.part and not lines:
+            raise ConfigurationError('PART', arguments.part, f'no name in {kind} has it'
+                                     + suggestion(arguments.part, (item for item, _ in
+                                                                   KINDS[name]())))
     return 0
 
 

@@ -29,6 +29,11 @@ def printable(text: object, longest: int | None = None) -> str:
                    else item.encode('unicode_escape').decode() for item in found)
 
 
+def counted(number: int, word: str) -> str:
+    """Return a number with its word, which takes an s but for 1."""
+    return f'{number} {word}{"" if number == 1 else "s"}'
+
+
 def plain(text: object, longest: int | None = None) -> str:
     r"""Return a text as `printable`, and with each $ escaped: matplotlib takes none for TeX."""
     return printable(text, longest).replace('$', r'\$')

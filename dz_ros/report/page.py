@@ -16,6 +16,8 @@ from html import escape
 from dz_ros.core.text import printable
 from dz_ros.report.style import Picture
 
+SCALE = 110.0
+"""Pixels an inch up to which a picture is enlarged to the width of the page."""
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c1e21; --soft: #5c6168; --line: #d9dce0;
   --ground: #ffffff; --raised: #f5f6f8; --accent: #0072b2; }
@@ -53,7 +55,7 @@ figure label { display: block; cursor: zoom-in; }
 figure input { position: absolute; opacity: 0; }
 figure .wide:focus-within { outline: 2px solid var(--accent); }
 figure img { display: block; width: 100%; height: auto; padding: .4rem; }
-figure input:checked + img { width: 80rem; max-width: none; cursor: zoom-out; }
+figure input:checked + img { width: 80rem; max-width: none !important; cursor: zoom-out; }
 @media (prefers-color-scheme: dark) { figure .wide { background: var(--ground); }
   figure img { filter: invert(.93) hue-rotate(180deg) brightness(1.3); } }
 @media screen and (max-width: 40rem) {
@@ -111,9 +113,11 @@ def folded(summary: str, content: str) -> str:
 def image(picture: Picture, png: bytes) -> str:
     """Return a figure with its picture in the text."""
     data = base64.b64encode(png).decode('ascii')
+    widest = round(SCALE * float(picture.figure.get_size_inches()[0]))
     return (f'<figure id="{text(picture.name)}"><h3>{text(picture.title)}</h3>'
             f'<div class="wide"><label><input type="checkbox" aria-label="enlarge">'
-            f'<img alt="{text(picture.alt)}" src="data:image/png;base64,{data}"></label></div>'
+            f'<img style="max-width: {widest}px" alt="{text(picture.alt)}" '
+            f'src="data:image/png;base64,{data}"></label></div>'
             f'<figcaption>{text(picture.caption)}</figcaption></figure>')
 
 

@@ -21,6 +21,7 @@ from dz_ros.core.events import (
 )
 from dz_ros.core.lateness import fell_behind, LATE_TEXT
 from dz_ros.core.records import Status
+from dz_ros.core.text import counted
 from dz_ros.report import page
 from dz_ros.report.guarantee import guarantee
 from dz_ros.report.view import View
@@ -75,7 +76,7 @@ def judge(view: View) -> Verdict:
                                                      for name, count in lost.items()))
     return Verdict(tuple(failures), tuple(filter(None, (
         _end(view), _modes(view),
-        f'{unmeasured} samples without a measurement' if unmeasured else '',
+        f'{counted(unmeasured, "sample")} without a measurement' if unmeasured else '',
         _samples(view, bool(lost)), _inactive(view), _guaranteed(view), _uncovered(view)))),
         tuple(filter(None, (fell_behind(len(view.rows.seq), _skipped(view)),))))
 
@@ -128,7 +129,7 @@ def _modes(view: View) -> str:
 def _samples(view: View, lost: bool) -> str:
     """Return samples, late and skipped ones."""
     rows, period = view.rows, view.setting.period
-    found = [f'{len(rows.seq)} samples', *(() if lost else ('none lost',))]
+    found = [counted(len(rows.seq), 'sample'), *(() if lost else ('none lost',))]
     state = view.timing.topics.get('state')
     if state is not None and state.late is not None:
         found.append(f'{state.late} more than {LATE_TEXT} late')

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 
+from dz_ros.core.text import counted
 from dz_ros.report import page
 from dz_ros.report.report import write_files
 from dz_ros.report.style import Picture
@@ -148,11 +149,14 @@ def _pad(text: str, width: int, left: bool) -> str:
 def conditions(arena: Arena) -> str:
     """Return the conditions of the runs, as text."""
     bounds, window = yardstick(), window_length(arena.plan.duration)
-    return (f'{arena.plan.runs} runs of {arena.plan.duration:g} s of the example at 200 Hz, '
-            f'{len(arena.plan.entrants)} laws, {len(arena.plan.scenarios)} scenarios, '
-            f'{arena.plan.seeds} seeds; numbers over the last {window:g} s, of the true state, '
-            "but peak |v| over the whole run. Ω_ε is that of the paper's law for all laws: "
-            f"|x̃| ≤ {bounds[0]:g}, |x̃'| ≤ {bounds[1]:g}. "
+    noisy = any(sum('loop.seed' in member for member in item.members) > 1
+                for item in arena.plan.scenarios.values())
+    seeds = f', {counted(arena.plan.seeds, "seed")} of the noise' if noisy else ''
+    return (f'{counted(arena.plan.runs, "run")} of {arena.plan.duration:g} s of the example at '
+            f'200 Hz, {counted(len(arena.plan.entrants), "law")}, '
+            f'{counted(len(arena.plan.scenarios), "scenario")}{seeds}; numbers over the last '
+            f'{window:g} s, of the true state, but peak |v| over the whole run. Ω_ε is that of '
+            f"the paper's law for all laws: |x̃| ≤ {bounds[0]:g}, |x̃'| ≤ {bounds[1]:g}. "
             'Means over seeds or pulses; TV is the total variation of v.')
 
 

@@ -35,6 +35,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+import math
 from typing import Any
 
 from dz_ros.core.configuration import Configuration
@@ -421,7 +422,9 @@ def _with_lambda(c: Configuration, changes: dict[str, Any],
         if not effort or row['v_peak_run'] <= effort:
             peak = f', peak |v| {row["v_peak_run"]:.4g}'
             peak += f' within {effort:.4g}' if effort else ''
-            words = f'at most half of where the loop is lost, {2.0 * limit:.4g}{peak}'
+            lost = ('no λ tried loses the loop' if math.isinf(limit) else
+                    f'at most half of where the loop is lost, {2.0 * limit:.4g}')
+            words = f'{lost}{peak}'
             if suits(tried):
                 return tried, words
             second = second or (tried, words)

@@ -24,6 +24,14 @@ def test_one_line_a_thing(kind, things, capsys):
     assert len(lines) == len(things.all())
 
 
+def test_part_of_a_name_shortens_the_list(capsys):
+    assert main(['list', 'keys', 'lambda']) == 0
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
+        'controller.lambda']
+    assert main(['list', 'laws', 'robst']) == 2
+    assert 'no name in laws has it; did you mean robust?' in capsys.readouterr().err
+
+
 def test_configurations_report_what_they_are(capsys):
     assert main(['list', 'configurations']) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -5,7 +5,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import pytest
 
-from dz_ros.core.text import plain, printable
+from dz_ros.core.text import counted, plain, printable
+
+
+def test_one_of_a_thing_has_no_s():
+    assert [counted(number, 'run') for number in (0, 1, 2)] == ['0 runs', '1 run', '2 runs']
 
 
 @pytest.mark.parametrize(('text', 'shown'), [

@@ -12,6 +12,7 @@ import pytest
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import from_run
 from dz_ros.core.loop.offline import simulate
+from dz_ros.core.records import Status
 from dz_ros.errors import ConfigurationError
 from dz_ros.live import counts as counts_module
 from dz_ros.live import recorded_source as recorded_module
@@ -63,6 +64,16 @@ def test_the_bound_is_steady_where_terms_are_late_or_the_law_was_not_active():
                        'epsilon': [nan, 0.04, nan, 0.0, nan, 0.05]}, (0.0, c), flat=flat)
     expected = [c.law.design.epsilon, 0.04, 0.04, 0.04, 0.04, 0.05]
     assert found['omega'] == pytest.approx([unit * target * each for each in expected])
+
+
+def test_the_place_in_the_layer_is_unknown_while_the_law_is_not_active():
+    c = Configuration.from_flat({'controller.law': 'robust_eso'})
+    times = np.arange(4.0)
+    found = completed({'published': times, 'stamp': times, 's': [0.0, 0.0, 0.1, 0.1],
+                       'epsilon': [0.2] * 4, 'status': [
+                           Status.INACTIVE, Status.INACTIVE | 1, 0.0, math.nan]}, (0.0, c),
+                      flat={'controller.law': 'robust_eso'})
+    assert found['s_over_epsilon'] == pytest.approx([math.nan, math.nan, 0.5, 0.5], nan_ok=True)
 
 
 def test_a_drifting_dead_zone_drifts():

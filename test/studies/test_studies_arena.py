@@ -115,6 +115,7 @@ def test_neither_ours_nor_the_ideal_is_the_best_rival(monkeypatch):
 
 def test_what_the_page_reports_of_its_window(arena):
     assert 'peak |v| over the whole run' in conditions(arena)
+    assert ('seed' in conditions(arena).partition(';')[0]) == ('noise' in arena.plan.scenarios)
     window = min(10.0, 0.5 * arena.plan.duration)
     assert f'over the last {window:g} s, of the true state' in conditions(arena)
 

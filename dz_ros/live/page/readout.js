@@ -40,7 +40,8 @@ export class Tiles {
     this.tiles.command.textContent = withUnit(value('v'), this.commandUnit, 3);
     const omega = value('omega');
     this.mark('peak', !Number.isNaN(omega) && peak > omega ? 'warn' : 'good');
-    this.mark('layer', Math.abs(value('s_over_epsilon')) > 1 ? 'warn' : 'good');
+    const layer = Math.abs(value('s_over_epsilon'));     // none while the law is not active
+    this.mark('layer', Number.isNaN(layer) ? '' : layer > 1 ? 'warn' : 'good');
   }
 
   set(name, text, mood = '') {
