@@ -121,7 +121,8 @@ class Deriver:
         if status is None:
             return np.ones(len(rows), dtype=bool)
         known = np.isfinite(status) & (status >= 0.0)
-        return ~known | (np.where(known, status, 0.0).astype(np.int64) & Status.INACTIVE == 0)
+        bits = np.where(known, status, 0.0).astype(np.int64)
+        return np.asarray(~known | (bits & Status.INACTIVE == 0), dtype=np.bool_)
 
     def _held(self, epsilon: Array, c: Configuration) -> Array:
         """Return ε, as it was before where it is unknown or not positive; NaN = never known."""
