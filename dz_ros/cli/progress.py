@@ -62,13 +62,16 @@ class Progress:
     Args:
         total: Runs in all.
         what: What there are `total` of.
+        before: What goes on before the first of them is done.
 
     Attributes:
         done: Runs done so far.
     """
 
-    def __init__(self, total: int, what: str = 'runs') -> None:
+    def __init__(self, total: int, what: str = 'runs',
+                 before: str = 'starting, compiling') -> None:
         self._what = what
+        self._before = before
         self._total = total
         self._begin = time.monotonic()
         self._line = _Line(self._begin - INTERVAL + NOTICED)
@@ -76,15 +79,16 @@ class Progress:
         if self._line.terminal:
             self(0, total)
             return
-        # Starting may take longer than that; a reference alone, for what ended before is silent.
-        first = threading.Timer(NOTICED, _first, (weakref.ref(self),))
-        first.daemon = True
-        first.start()
+        _later(NOTICED, self)       # starting may take longer than that
 
-    def begin(self) -> None:
-        """Show how far it is where nothing has been shown so far."""
-        if not self._line.begun:
-            self._show('' if self.done else 'starting', True)
+    def wait(self) -> None:
+        """Show that it goes on where nothing has been done so far, and do so again."""
+        if self.done == self._base:
+            passed = time.monotonic() - self._begin
+            self._show(f'{self._before}: {passed:.0f} s', True)
+            _later(INTERVAL, self)
+        elif not self._line.begun:
+            self._show('', True)
 
     def resume(self, done: int) -> None:
         """Count runs that were done before, so that they do not make the estimate rosy."""
@@ -105,11 +109,18 @@ class Progress:
                         + (f' ({what})' if what else ''), now)
 
 
-def _first(found: weakref.ref[Progress]) -> None:
-    """Show the first line of what still goes on."""
+def _later(seconds: float, progress: Progress) -> None:
+    """Have progress wait after a time, unless it has ended before."""
+    timer = threading.Timer(seconds, _wait, (weakref.ref(progress),))
+    timer.daemon = True
+    timer.start()
+
+
+def _wait(found: weakref.ref[Progress]) -> None:
+    """Show a line of what still goes on."""
     progress = found()
     if progress is not None:
-        progress.begin()
+        progress.wait()
 
 
 @contextmanager

@@ -132,7 +132,7 @@ def _samples(view: View, lost: bool) -> str:
     found = [counted(len(rows.seq), 'sample'), *(() if lost else ('none lost',))]
     state = view.timing.topics.get('state')
     if state is not None and state.late is not None:
-        found.append(f'{state.late} more than {LATE_TEXT} late')
+        found.append(f'{counted(state.late, "period")} more than {LATE_TEXT} too long')
     if period is not None and view.setting.mode == 'realtime':
         found.append(f'{_skipped(view)} skipped')
     return ', '.join(found)

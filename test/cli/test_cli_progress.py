@@ -173,11 +173,15 @@ def test_elsewhere_the_first_line_does_not_wait_for_the_first_run(monkeypatch, c
     timers = Timers()
     monkeypatch.setattr(progress.threading, 'Timer', timers)
     counted = Progress(3)
-    timers[0]()
-    assert capsys.readouterr().err == '0 of 3 runs, time left unknown (starting)\n'
-    timers[0]()
+    for place in (0, 1):        # as long as no run has ended
+        timers[place]()
+        assert capsys.readouterr().err == (
+            '0 of 3 runs, time left unknown (starting, compiling: 0 s)\n')
+    counted(3, 3)
+    assert capsys.readouterr().err == '3 of 3 runs, 0 s\n'
+    timers[2]()
     assert capsys.readouterr().err == ''
     counted = Progress(3)
     del counted                     # as after an error
-    timers[1]()
+    timers[3]()
     assert capsys.readouterr().err == ''

@@ -137,7 +137,7 @@ def test_metrics_are_those_of_the_paper_s_example(capsys):
     ['nowhere.yaml'], ['--set', 'controller.lambda=x'], ['--set', 'nope=1'],
     ['--duration', '0'], ['--duration', '0.001'], ['--duration', '-1'], ['--duration', 'nan'],
     ['--duration', 'inf'], ['--duration', 'long'], ['--duration', ''],
-    ['--set', 'trajectory.file=nowhere.csv'], ['--set', 'plant.model=valve_actuator'],
+    ['--set', 'trajectory.file=nowhere.csv'], ['--set', 'plant.model=nowhere'],
     ['wang2004', '--set', 'controller.lambda=12'], ['--set', 'plant.x0=[1]'],
 ])
 def test_mistakes_are_one_line_and_leave_nothing(words, tmp_path, capsys, monkeypatch):

@@ -104,7 +104,7 @@ def move(c: Configuration, experiment: Experiment, namespace: str,
         KeyboardInterrupt: It was stopped by Ctrl-C, in the same way.
     """
     lockstep = c.driver_class.lockstep
-    progress = Progress(experiment.plan.repeats, 'repeats')
+    progress = Progress(experiment.plan.repeats, 'repeats', 'moving')
     with stop_on_signals() as stopping, stop_on_estop(stopping, lockstep, namespace):
         wait = (lambda seq: seq) if lockstep else _pacer(c.loop.period, stopping)
 
