@@ -74,7 +74,8 @@ def run(arguments: argparse.Namespace) -> int:
     else:
         print(format_text(arena), '', conditions(arena), '', format_beaten(arena), sep='\n')
     if arguments.out is not None:
-        with stage('drawing the page'):
+        with prompt_end(lambda: 'the tables are whole, the page is not; the same command begins '
+                        'again'), stage('drawing the page'):
             page = write_arena(arena, arguments.out)
         print(page, file=sys.stderr if arguments.csv else sys.stdout)
     return 0
