@@ -81,6 +81,10 @@ class ConfigurationError(DzRosError, ValueError):
         super().__init__(f'{name} = {shown(value)}: {allowed}')
 
 
+class CountError(ConfigurationError):
+    """A list that has not as many numbers as the plant has states, or regressors."""
+
+
 class LaunchArgumentError(ConfigurationError, RuntimeError):
     """An argument of a launch file that is not allowed; attributes as of its base."""
 

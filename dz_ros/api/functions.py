@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 import tempfile
 from typing import Any
+import warnings
 
 import numpy as np
 
@@ -24,8 +25,8 @@ from dz_ros.files.configurations import flat_parameters
 from dz_ros.report.axes import compare_axes
 from dz_ros.studies.code_folder import keep_compiled
 
-FEW = 20
-"""Runs of a sweep that take less time than starting processes for them."""
+LITTLE = 100_000
+"""Samples of a whole sweep up to which starting processes for it does not pay."""
 LONG = 100_000
 """Samples above which compiling a loop takes less time than it saves."""
 
@@ -60,7 +61,12 @@ def load(source: Source = None, overrides: Mapping[str, Any] | None = None,
         flat = _flat(source)
     else:
         flat = flat_parameters(None if source is None else Path(source))
-    return Configuration.from_changed(_valued(flat), _valued({**(overrides or {}), **keys}))
+    found = Configuration.from_changed(_valued(flat), _valued({**(overrides or {}), **keys}))
+    for key in found.set_aside:
+        if found.misfits(key):
+            warnings.warn(f'{key} is set aside: the list does not fit {found.plant.name}',
+                          stacklevel=2)
+    return found
 
 
 def simulate(source: Source = None, overrides: Mapping[str, Any] | None = None,
@@ -131,7 +137,8 @@ def sweep(source: Source, over: Mapping[str, Sequence[Any]], *, samples: int = 0
             the two ends of a range, sampled by a Sobol sequence.
         samples: Number of runs of a Sobol sequence; 0 = every combination.
         seed: Seed of the sequence.
-        jobs: Processes; 0 = one for each core, and this one alone for up to `FEW` runs.
+        jobs: Processes; 0 = one for each core, and this one alone for up to `LITTLE` samples in
+            all.
 
     Raises:
         ConfigurationError: Unknown key, values that are not allowed, or a loop of several axes.
@@ -156,7 +163,8 @@ def sweep(source: Source, over: Mapping[str, Sequence[Any]], *, samples: int = 0
                      seed)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / 'sweep.csv'
-        run_sweep(plan, file, jobs or (1 if len(plan) <= FEW else 0))
+        little = len(plan) * configuration.loop.samples <= LITTLE
+        run_sweep(plan, file, jobs or (1 if little else 0))
         return read_sweep(file)
 
 

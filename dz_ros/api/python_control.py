@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+import os
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -90,7 +92,7 @@ def from_control(system: Any, *, b: float | None = None, state_units: Sequence[s
         'regressors': staticmethod(regressors)}))
 
 
-def to_control(plant: Plant | Configuration | str) -> Any:
+def to_control(plant: Plant | Configuration | str | os.PathLike[str]) -> Any:
     """Return a plant as a ``control.NonlinearIOSystem``: input w or, with its dead-zone, v.
 
     Args:
@@ -101,10 +103,11 @@ def to_control(plant: Plant | Configuration | str) -> Any:
         ConfigurationError: Neither a plant nor a configuration of one axis.
         MissingDependencyError: python-control is not installed.
     """
-    if isinstance(plant, str):
-        plant = load_configuration(plant)
+    if isinstance(plant, (str, os.PathLike)):
+        plant = load_configuration(Path(plant))
     if not isinstance(plant, (Plant, Configuration)):
-        raise ConfigurationError('plant', plant, 'must be a plant or a configuration')
+        raise ConfigurationError('plant', plant, 'must be a plant or a configuration, its name '
+                                 'or its file')
     if isinstance(plant, Configuration):
         plant.require_one()
     try:

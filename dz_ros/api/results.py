@@ -143,7 +143,7 @@ class Run:
     def plot(self, *names: str) -> Any:
         """Return figures of the run: a matplotlib Figure for one name, name → Figure otherwise.
 
-        Of several axes: axis → what it is for each.
+        Of several axes: axis → that of the axis.
 
         Args:
             *names: tracking, error, command, filtered_error, estimates, …; none = all there are.

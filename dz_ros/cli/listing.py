@@ -36,13 +36,13 @@ def run(arguments: argparse.Namespace) -> int:
     for name in KINDS if kind is None else (kind,):
         if kind is None:
             print(f'{name}:')
-        lines = [line for line in KINDS[name]() if arguments.part in line[0]]
+        lines = [line for line in KINDS[name]() if arguments.part.lower() in line[0].lower()]
         width = max((len(item) for item, _ in lines), default=0)
         for item, summary in lines:
             print(f'{"" if kind else "  "}{item:<{width}}  {summary}')
         if arguments.part and not lines:
             raise ConfigurationError('PART', arguments.part, f'no name in {kind} has it'
-                                     + suggestion(arguments.part, (item for item, _ in
+                                     + suggestion(arguments.part.lower(), (item for item, _ in
                                                                    KINDS[name]())))
     return 0
 

@@ -83,6 +83,8 @@ class Progress:
 
     def wait(self) -> None:
         """Show that it goes on where nothing has been done so far, and do so again."""
+        if self.done >= self._total:
+            return
         if self.done == self._base:
             passed = time.monotonic() - self._begin
             self._show(f'{self._before}: {passed:.0f} s', True)

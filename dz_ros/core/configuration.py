@@ -54,9 +54,16 @@ from dz_ros.core.section_settings import (
     ProcessSettings,
     TrajectorySettings,
 )
+from dz_ros.core.text import counted
 from dz_ros.core.trajectories import TRAJECTORIES
 from dz_ros.core.trajectories.base import Trajectory
-from dz_ros.errors import ConfigurationError, DzRosError, UnknownNameError
+from dz_ros.errors import (
+    ConfigurationError,
+    CountError,
+    DzRosError,
+    suggestion,
+    UnknownNameError,
+)
 
 PLANT_AXIS, LAW_AXIS = 'plant.axis', 'controller.axis'
 """Keys of plants and laws that serve all axes; their value follows from `loop.axes`."""
@@ -131,12 +138,19 @@ class Configuration:
         """Return the value of a dotted key, arrays as lists.
 
         Raises:
-            ConfigurationError: This configuration has no such key.
+            UnknownNameError: This configuration has no such key.
         """
         flat = self.to_flat()
         if key not in flat:
-            raise schema.unknown_key(key, None, flat)
+            raise UnknownNameError('key', key, f'is no key of this configuration'
+                                   f'{suggestion(str(key), flat)}')
         return flat[key]
+
+    def __contains__(self, key: object) -> bool:
+        """Return whether this configuration has a dotted key."""
+        return key in self.to_flat()
+
+    __iter__ = None     # it is no list
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -267,7 +281,7 @@ class Configuration:
         flat = {**base, **changed}
         common, own = split_keys(flat)
         if not own and not common.get('loop.axes'):
-            return cls._fitting(flat, driven, _owners(_replaced(base, changed)), changed)
+            return cls._fitting(flat, driven, _owners(_replaced(base, changed)), changed, base)
         loop = schema.build(LoopSettings, {key.partition('.')[2]: value for key, value in
                                            common.items() if key.startswith('loop.')}, 'loop.')
         check_axes(own, loop.axes)
@@ -285,7 +299,8 @@ class Configuration:
             try:
                 new = split_keys(changed)
                 built = cls._fitting(keys, driven, _owners(replaced),
-                                     {**new[0], **new[1].get(name, {})})
+                                     {**new[0], **new[1].get(name, {})},
+                                     {**before[0], **before[1].get(name, {})})
             except ConfigurationError as error:
                 _name_axis(error, name, place, mine)
                 raise
@@ -356,24 +371,24 @@ class Configuration:
     @classmethod
     def _fitting(cls, flat: Mapping[str, Any], driven: bool,
                  replaced: Mapping[str, type | None], changed: Mapping[str, Any],
-                 base: Configuration | None = None) -> Configuration:
-        """Make a configuration; lists for another plant are set aside where they do not fit.
+                 before: Mapping[str, Any], base: Configuration | None = None) -> Configuration:
+        """Make a configuration; lists for another plant are set aside where their size differs.
 
         Args:
             flat: Dotted key → value, `changed` included.
             driven: As of `from_flat`.
             replaced: As of `_build`.
             changed: Part of `flat` that replaces what was there; it must fit a plant it chooses.
+            before: What was there.
             base: As of `_build`.
         """
-        keys = dict(flat)
+        keys, key = dict(flat), f'plant.{SELECTORS["plant"]}'
+        another = key in changed and changed[key] != before.get(key, PlantSettings.model)
         while True:
             try:
                 built = cls._build(keys, driven, base, replaced)
-            except ConfigurationError as error:
-                if ('plant.model' not in changed or error.key in changed
-                        or not error.key.startswith(('plant.', 'controller.'))
-                        or not isinstance(keys.get(error.key), (list, tuple))):
+            except CountError as error:
+                if not another or error.key in changed or error.key not in keys:
                     raise
                 del keys[error.key]
             else:
@@ -433,16 +448,16 @@ class Configuration:
                                plant.order)
         x0 = settings.x0 or plant.default_x0
         if len(x0) != plant.order:
-            raise ConfigurationError('plant.x0', list(x0), f'must have {plant.order} numbers, one '
-                                     'for each state')
+            raise CountError('plant.x0', list(x0), f'must have {counted(plant.order, "number")}, '
+                             'one for each state')
         noise = settings.noise if len(settings.noise) > 1 else settings.noise * plant.order
         if len(settings.derivative_resolution) >= max(plant.order, 1):
-            raise ConfigurationError(
+            raise CountError(
                 'plant.derivative_resolution', list(settings.derivative_resolution),
                 f'must have at most {plant.order - 1} values for {plant.name}')
         if len(noise) != plant.order:
-            raise ConfigurationError('plant.noise', list(noise), 'must have 1 or '
-                                     f'{plant.order} numbers')
+            allowed = f'1 or {plant.order} numbers' if plant.order > 1 else '1 number'
+            raise CountError('plant.noise', list(noise), f'must have {allowed}')
         driver_settings, driver_class, driver_parameters = built['driver']
         if driver_class.order not in (0, plant.order):
             raise ConfigurationError('driver.name', driver_class.name, 'closes loops of order '
@@ -570,7 +585,7 @@ class Configuration:
             changed.add('controller')       # its lists may not fit the new plant
         flat = self.to_flat(*changed)
         return self._fitting({**flat, **overrides}, self.driver_class is not Undriven,
-                             _owners(_replaced(flat, overrides)), overrides, self)
+                             _owners(_replaced(flat, overrides)), overrides, flat, self)
 
     def _replace_axes(self, overrides: Mapping[str, Any]) -> Configuration:
         """Return this configuration of several axes with keys changed, as `replace`."""
@@ -596,7 +611,10 @@ class Configuration:
             except ConfigurationError as error:
                 _name_axis(error, name, place, mine)
                 raise
-        return self._joined(tuple(axes), self.set_aside)
+        earlier = split_keys(dict.fromkeys(self.set_aside))
+        misfits = dict.fromkeys(key for _, item in axes for key in item.set_aside
+                                if item.misfits(key))
+        return self._joined(tuple(axes), _unused(axes, {**earlier[0], **misfits}, earlier[1]))
 
     @property
     def _groups(self) -> dict[str, tuple[Any, Any, Any]]:
@@ -658,10 +676,13 @@ def _check_place(axis: str, place: int, key: str, common: Mapping[str, Any],
 
 def _unused(axes: list[tuple[str, Configuration]], common: Mapping[str, Any],
             own: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
-    """Return the keys that are set aside: common ones by every axis, and an axis' own."""
+    """Return the keys that are set aside: common ones by every axis, and an axis' own.
+
+    A list of all axes that does not fit the plant of one is one of that axis.
+    """
     found = [key for key in common if all(key in item.set_aside for _, item in axes)]
-    return (*found, *(axis_key(name, key) for name, item in axes
-                      for key in own.get(name, ()) if key in item.set_aside))
+    return (*found, *(axis_key(name, key) for name, item in axes for key in item.set_aside
+                      if key in own.get(name, ()) or (key not in found and item.misfits(key))))
 
 
 def _made(section: str, settings: Any, chosen: Any, *arguments: Any) -> Any:

@@ -28,4 +28,4 @@ def fell_behind(samples: int, skipped: int) -> str:
     if skipped <= KEPT_UP * whole:
         return ''
     return (f'the machine did not keep up: {skipped} of {whole} samples were skipped '
-            f'({100.0 * skipped / whole:.2g} %)')
+            f'({100.0 * skipped / whole:.3g} %)')

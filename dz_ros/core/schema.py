@@ -212,9 +212,13 @@ def build(group: type[Group], values: Mapping[str, Any], prefix: str = '') -> Gr
 
 def shown(group: Any, most: int = 6) -> str:
     """Return parameters as ``name=value, …`` for a repr, the first ones of many."""
+    def text(value: Any) -> str:
+        if isinstance(value, list) and len(value) > most:
+            return f'[{len(value)} numbers]'
+        return f'{value:g}' if isinstance(value, float) else f'{value}'
+
     found = to_dict(group)
-    words = [f'{name}={value:g}' if isinstance(value, float) else f'{name}={value}'
-             for name, value in list(found.items())[:most]]
+    words = [f'{name}={text(value)}' for name, value in list(found.items())[:most]]
     return ', '.join([*words, '…'] if len(found) > most else words)
 
 

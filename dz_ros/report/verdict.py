@@ -26,6 +26,9 @@ from dz_ros.report import page
 from dz_ros.report.guarantee import guarantee
 from dz_ros.report.view import View
 
+REST = 0.25
+"""Part of the window that must be within Ω_ε without a break to be named."""
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -163,12 +166,13 @@ def _guaranteed(view: View) -> str:
     found, share = guarantee(view), view.metrics.omega_share
     if found.bounds is None or share is None:
         return found.statement
-    begin, end = view.metrics.window
-    error = np.abs(view.rows.error)
-    outside = np.flatnonzero(~(error <= np.asarray(found.bounds)).all(axis=1))
+    (begin, end), t = view.metrics.window, view.rows.t
+    unit = np.asarray(found.bounds) / view.widest
+    within = (np.abs(view.rows.error) <= unit * view.epsilon[:, None]).all(axis=1)
+    outside = np.flatnonzero(~within)       # samples without ε among them
     last = int(outside[-1]) + 1 if len(outside) else 0
-    since = (f', from {view.rows.t[last]:.4g} s on without a break' if 0.0 < share < 1.0
-             and last < len(error) else '')
+    since = (f', from {t[last]:.4g} s on without a break' if share < 1.0 and last < len(t)
+             and end - t[last] >= REST * (end - begin) else '')
     return (f'within Ω_ε in {100.0 * share:.4g} % of {begin:g} to {end:g} s{since}. '
             f'{"" if not found.broken else found.broken[0] + " "}{found.statement}')
 

@@ -68,7 +68,7 @@ class View:
 
     @property
     def widest(self) -> float:
-        """Largest ε, that of the configuration where the law was never active; NaN = none."""
+        """Largest ε; that of the configuration where no sample has one; NaN = none."""
         known = self.epsilon[np.isfinite(self.epsilon)]
         if len(known):
             return float(known.max())

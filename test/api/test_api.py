@@ -5,7 +5,6 @@ Over 300 lines: all public names, on runs that are made once.
 """
 
 from collections.abc import Sequence
-import contextlib
 from dataclasses import dataclass, replace
 import os
 from pathlib import Path
@@ -30,6 +29,7 @@ from dz_ros.errors import (
     UnknownNameError,
 )
 from dz_ros.files.configurations import find_configuration, load_configuration
+from dz_ros.studies.sweep import run_sweep
 
 SHORT = {'loop.duration': 2.0}
 
@@ -296,10 +296,12 @@ def test_plants_to_and_from_python_control():
 
 
 def test_another_plant_is_one_word_here_too():
-    c = dz.load('wang2004', {'plant.model': 'valve_actuator', **SHORT})
+    with pytest.warns(UserWarning, match='does not fit valve_actuator'):
+        c = dz.load('wang2004', {'plant.model': 'valve_actuator', **SHORT})
     assert {'plant.x0', 'controller.theta_0'} <= set(c.set_aside)
     assert dz.simulate(c).x.shape == (401, 3)
-    assert dz.load('wang2004', {'plant.model': Mass})['plant.model'] == Mass.name
+    with pytest.warns(UserWarning, match='theta_0 is set aside'):
+        assert dz.load('wang2004', {'plant.model': Mass})['plant.model'] == Mass.name
     with pytest.raises(ConfigurationError, match=r'must have 1 number$'):
         dz.load('wang2004', {'plant.model': Mass, 'controller.theta_0': [1.0, 2.0]})
 
@@ -315,6 +317,15 @@ def test_values_are_read_by_key_and_objects_show_what_they_are():
     assert 'at 0x' not in repr(c.trajectory) + repr(c.law)
     assert repr(c.law).endswith('…>')
     assert repr(dz.load({'controller.law': 'pd'}).law).startswith('<Pd for order 2, 200 Hz: ')
+    times = [0.1 * k for k in range(300)]
+    way = dz.load({'trajectory.kind': 'waypoints', 'trajectory.times': times,
+                   'trajectory.positions': times}).trajectory
+    assert '[300 numbers]' in repr(way)
+    assert len(repr(way)) < 200
+    assert 'plant.x0' in c
+    assert 'plant' not in c
+    with pytest.raises(TypeError):
+        list(c)
 
 
 def test_recordings_are_compared_by_path(tmp_path):
@@ -326,14 +337,26 @@ def test_recordings_are_compared_by_path(tmp_path):
         dz.compare(3, 4)
 
 
-def test_few_runs_of_a_sweep_need_no_processes(monkeypatch):
+def test_a_small_sweep_needs_no_processes_and_has_the_same_rows(monkeypatch):
+    source, over = dz.load('wang2004', SHORT), {'plant.b': [0.9, 1.0, 1.1]}
+    with_processes = dz.sweep(source, over, jobs=2)
     jobs = []
-    monkeypatch.setattr('dz_ros.studies.sweep.run_sweep',
-                        lambda plan, file, count: jobs.append(count) or file.write_text('run\n'))
-    for count in (3, 21):
-        with contextlib.suppress(Exception):
-            dz.sweep('wang2004', {'plant.b': list(range(1, count + 1))})
+
+    def noted(plan, file, count):
+        jobs.append(count)
+        return run_sweep(plan, file, 1)
+
+    monkeypatch.setattr('dz_ros.studies.sweep.run_sweep', noted)
+    assert dz.sweep(source, over) == with_processes
+    dz.sweep(dz.load('wang2004', {'loop.duration': 300.0}), {'plant.b': [0.9, 1.0]})
     assert jobs == [1, 0]
+
+
+def test_another_plant_in_a_sweep_refuses_lists_that_do_not_fit():
+    rows = dz.sweep(dz.load('wang2004', SHORT), {'plant.model': ['pendulum', 'valve_actuator']})
+    assert rows[0]['lost'] == 0
+    assert rows[1]['reason'].startswith('refused: ')
+    assert 'does not fit valve_actuator' in rows[1]['reason']
 
 
 def test_what_is_no_system_of_python_control_is_refused():

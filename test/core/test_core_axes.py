@@ -117,7 +117,7 @@ def test_replace_changes_one_axis_or_all(three):
     ({'axes.yaw.plant.model': 'first_order'}, 'two loops'),
     ({'axes.yaw.plant.x0': [0.1]}, 'axes.yaw.plant.x0 = [0.1]: must have 2 numbers'),
     ({'axes.yaw.plant.model': 'first_order', 'plant.x0': [0.2, 0.0]},
-     'plant.x0 = [0.2, 0.0]: must have 1 numbers, one for each state (axis yaw)'),
+     'plant.x0 = [0.2, 0.0]: must have 1 number, one for each state (axis yaw)'),
     ({'loop.axes': ['yaw', 'yaw', 'sway', 'surge']}, 'names yaw twice'),
     ({'loop.axes': ['surge', 'sway', 'yaw', '1x']}, 'must be a name of letters'),
     ({'loop.axes': []}, 'loop.axes names no axes'),

@@ -199,6 +199,32 @@ def test_lists_of_another_plant_that_do_not_fit_are_set_aside(change):
     assert c.misfits('plant.x0')
 
 
+@pytest.mark.parametrize(('base', 'changed', 'reports'), [
+    ({'plant.model': 'servo', 'plant.x0': [1.0]}, {'plant.model': 'servo'}, r'plant\.x0'),
+    ({'plant.x0': [1.0]}, {'plant.model': 'wang2004'}, r'plant\.x0'),      # that by default
+    ({'plant.model': 'servo', 'controller.b_r_bounds': [0.9, 0.1]}, {'plant.model': 'pendulum'},
+     'b_r_bounds'),
+    ({'plant.model': 'servo', 'plant.noise': [-1.0]}, {'plant.model': 'pendulum'}, 'noise'),
+    ({'plant.model': 'servo', 'plant.x0': ['a', 'b']}, {'plant.model': 'pendulum'}, 'x0'),
+    ({'plant.model': 'servo', 'plant.disturbance_pulse': [1.0, 2.0]}, {'plant.model': 'pendulum'},
+     'disturbance_pulse')])
+def test_a_list_that_is_wrong_otherwise_is_refused_beside_another_plant(base, changed, reports):
+    with pytest.raises(ConfigurationError, match=reports):
+        Configuration.from_changed(base, changed)
+
+
+def test_a_list_of_all_axes_that_does_not_fit_one_is_noted_with_that_axis():
+    base = {'loop.axes': ['a', 'b'], 'plant.noise': [0.0, 0.1], 'axes.a.plant.noise': [0.2]}
+    c = Configuration.from_changed(base, {'plant.model': 'valve_actuator'})
+    assert [key for key in c.set_aside if c.misfits(key)] == ['axes.b.plant.noise']
+    machine = Configuration.from_flat({'loop.axes': ['a', 'b'], 'plant.x0': [1.0, 2.0]})
+    other = machine.replace(**{'plant.model': 'valve_actuator'})
+    assert [key for key in other.set_aside if other.misfits(key)] == ['plant.x0']
+    again = other.replace(**{'plant.x0': [0.1, 0.2, 0.3]})
+    assert not again.misfits('plant.x0')
+    assert again.axis('b').x0 == (0.1, 0.2, 0.3)
+
+
 def test_axes_with_another_plant_set_their_lists_aside():
     base = {**BASE, 'loop.axes': ['a', 'b'], 'axes.b.plant.x0': [1.0, 2.0]}
     c = Configuration.from_changed(base, {'plant.model': 'valve_actuator'})

@@ -29,7 +29,8 @@ def test_the_page_counts_the_same():
 
 @pytest.mark.parametrize(('samples', 'skipped', 'words'), [
     (0, 0, ''), (1000, 0, ''), (990, 10, ''), (989, 11, '11 of 1000 samples were skipped (1.1 %)'),
-    (5467, 934, '934 of 6401 samples were skipped (15 %)')])
+    (5467, 934, '934 of 6401 samples were skipped (14.6 %)'),
+    (4, 996, '996 of 1000 samples were skipped (99.6 %)')])
 def test_a_machine_that_does_not_keep_up_is_named(samples, skipped, words):
     found = fell_behind(samples, skipped)
     assert found == (f'the machine did not keep up: {words}' if words else '')

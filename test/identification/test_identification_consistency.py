@@ -251,7 +251,7 @@ def test_a_velocity_without_numbers_for_a_while_is_noted(loop):
         return v
 
     rest = found(c, changed(run, V, bursts))
-    assert 'x1 [rad/s] is not a number in 6.7 % of the samples' in '; '.join(rest.notes)
+    assert 'x1 [rad/s] is not a number in 6.67 % of the samples' in '; '.join(rest.notes)
     for bound, truth in zip(rest.bounds.values(), TRUTH, strict=True):
         assert bound.low <= truth <= bound.high
 
@@ -285,7 +285,9 @@ def test_a_position_that_jumps_is_named(loop, alter, size, least):
     (np.floor(np.linspace(0.0, 40.0, 4000)), 0),                        # an encoder, slow
     (np.concatenate([np.zeros(2000), np.linspace(0.0, 1.0, 40), np.ones(2000)]), 0),
     (np.sin(np.arange(4000) / 100.0), 0), (np.ones(4000), 0),
-    (np.sin(np.arange(4000) / 100.0) + (np.arange(4000) >= 50), 1)], ids=range(5))
+    (np.sin(np.arange(4000) / 100.0) + (np.arange(4000) >= 50), 1),
+    (0.002 * (np.arange(4000) // 150) + 1e-6 * np.arange(4000), 0),      # sticks and slips
+    ((np.arange(4000) * 0.1 + np.pi) % (2.0 * np.pi) - np.pi, 64)], ids=range(7))
 def test_jumps_are_no_motion(values, rows):
     noise = np.random.default_rng(1).normal(0.0, 1e-4, len(values))
     seq = np.arange(len(values))
@@ -293,7 +295,7 @@ def test_jumps_are_no_motion(values, rows):
     if len(np.unique(values)) != 41:
         assert len(jumps(values + noise, seq)) == rows
     seq[50:] += 1       # what happened between is not known
-    assert len(jumps(values, seq)) == 0
+    assert len(jumps(values, seq)) == max(rows - 1, 0)
 
 
 @pytest.mark.parametrize('late', [1, 4, -2])

@@ -82,8 +82,9 @@ def run(arguments: argparse.Namespace) -> int:
                                if whole.lost else '') if text]
     if arguments.json:
         print_json({'begun': [_numbers(length, item) for length, item in found.items()],
-                    'own_constant': own and better and {
-                        'changed': _changed(own[0], c), **_numbers(math.inf, better)},
+                    'own_constant': None if own is None or better is None or not explains_more(
+                        whole, better) else {'changed': _changed(own[0], c),
+                                             **_numbers(math.inf, better)},
                     'units': list(c.plant.state_units[:whole.measured.shape[1]]),
                     'notes': notes})
     else:
@@ -98,6 +99,11 @@ def run(arguments: argparse.Namespace) -> int:
         print_lines([f'picture: {arguments.picture}'],
                     sys.stderr if arguments.json else sys.stdout)
     return 0
+
+
+def explains_more(whole: Prediction, better: Prediction) -> bool:
+    """Return whether a prediction explains more of the first state, by what is worth a line."""
+    return better.explained[0] - whole.explained[0] > SHOWN
 
 
 def _numbers(length: float, item: Prediction) -> dict[str, Any]:
@@ -184,7 +190,7 @@ def _own_lines(own: tuple[Configuration, int], whole: Prediction, better: Predic
                c: Configuration) -> Iterator[str]:
     """Yield what the constant term of the recording itself would change, if it is much."""
     changed, number = own
-    if not better.explained[0] - whole.explained[0] > SHOWN:
+    if not explains_more(whole, better):
         return
     before = c.to_flat()
     keys = ', '.join(f'{key} = {value:.4g} in place of {before[key]:.4g}'

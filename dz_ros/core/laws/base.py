@@ -31,7 +31,7 @@ from dz_ros.core.design.linear_loop import LayerModel, surface_model
 from dz_ros.core.records import Command, Reference, State, Status, Terms
 from dz_ros.core.schema import shown
 from dz_ros.core.signals import BEFORE, names, Role, Signal, STATUS
-from dz_ros.errors import ConfigurationError
+from dz_ros.errors import ConfigurationError, CountError
 
 Numbers = Sequence[float]
 
@@ -46,14 +46,14 @@ def per_regressor(values: Sequence[float], count: int, key: str) -> tuple[float,
     """Return `count` numbers from as many or from one for all.
 
     Raises:
-        ConfigurationError: Neither one number nor `count`.
+        CountError: Neither one number nor `count`.
     """
     if len(values) == count:
         return tuple(values)
     if len(values) == 1:
         return tuple(values) * count
     allowed = '1 number' if count == 1 else f'1 or {count} numbers, one for each regressor'
-    raise ConfigurationError(f'controller.{key}', list(values), f'must have {allowed}')
+    raise CountError(f'controller.{key}', list(values), f'must have {allowed}')
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.dataset import RunData
+from dz_ros.core.text import counted
 from dz_ros.errors import RecordingError
 from dz_ros.identification.estimation.rates import check_rate, lag, SCALE, windows
 from dz_ros.identification.estimation.sensor import resolution
@@ -42,9 +43,10 @@ NAMED = 0.002
 """Share by which a rate has to be wrong to be named."""
 NOTED = 0.005
 """Share of states, or numbers of a signal, lost from which on it is a note."""
-JUMP, FASTEST, BESIDE = 20.0, 5.0, 3
+JUMP, FASTEST, LARGE, BESIDE = 20.0, 5.0, 0.1, 3
 """A change within a sample is a jump where it is JUMP times the median of the BESIDE changes
-before and after it, and FASTEST times that which few changes exceed."""
+before and after it, FASTEST times that which one change in twenty exceeds, and LARGE of how far
+the signal moves."""
 
 _TOO_MANY = f'more than one hole in {1.0 / LOST:.0f} samples leaves no motion without one'
 
@@ -94,7 +96,7 @@ def check_samples(samples: Samples, c: Configuration) -> Doubt:
             notes.append(f'{fast} comes {abs(late) * 1e3:.3g} ms {way} '
                          f'the rate of {slow}, as behind a filter: the delay of the commands that '
                          'is found counts that as well')
-    notes += [f'{name} is not a number in {bad:.2g} % of the samples: what happened then is not '
+    notes += [f'{name} is not a number in {bad:.3g} % of the samples: what happened then is not '
               'used' for name, values in zip(names, x.T, strict=True)
               if (bad := 100.0 * float(np.mean(~np.isfinite(values)))) > 100.0 * NOTED]
     if jumped:
@@ -109,17 +111,18 @@ def check_samples(samples: Samples, c: Configuration) -> Doubt:
 
 
 def _jumped(samples: Samples, name: str) -> str:
-    """Return that the first state jumps; '' where it does not."""
+    """Return that the first state jumps; '' where it does not (ours)."""
     rows = jumps(samples.x[:, 0], samples.seq)
     if not len(rows):
         return ''
     size = samples.x[rows[0] + 1, 0] - samples.x[rows[0], 0]
-    return (f'{name} jumps {len(rows)} times, by {size:.4g} at {samples.t[rows[0]]:.4g} s: '
-            'no motion does that; unwrap angles, leave out wrong values')
+    return (f'{name} jumps {counted(len(rows), "time")}, by {size:.4g} at '
+            f'{samples.t[rows[0]]:.4g} s, out of its own motion: unwrap angles, leave out wrong '
+            'values')
 
 
 def jumps(values: Array, seq: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the rows after which a signal that its rate should explain jumps.
+    """Return the rows after which a signal jumps out of its own motion.
 
     Args:
         values: The signal, shape (K,); NaN where it is missing.
@@ -131,8 +134,9 @@ def jumps(values: Array, seq: NDArray[np.int64]) -> NDArray[np.int64]:
         return np.array([], dtype=np.int64)
     padded = np.pad(np.nan_to_num(change), BESIDE, mode='reflect')
     beside = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1), axis=1)
-    limit = np.maximum(JUMP * beside, FASTEST * float(np.quantile(moving, 0.99)))
-    return np.flatnonzero(change > limit)
+    least = max(FASTEST * float(np.quantile(moving, 0.95)),
+                LARGE * float(np.nanmax(values) - np.nanmin(values)))
+    return np.flatnonzero(change > np.maximum(JUMP * beside, least))
 
 
 def rounding(samples: Samples, c: Configuration) -> str:
