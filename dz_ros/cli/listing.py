@@ -41,9 +41,9 @@ def run(arguments: argparse.Namespace) -> int:
         for item, summary in lines:
             print(f'{"" if kind else "  "}{item:<{width}}  {summary}')
         if arguments.part and not lines:
+            known = [item for item, _ in KINDS[name]()]
             raise ConfigurationError('PART', arguments.part, f'no name in {kind} has it'
-                                     + suggestion(arguments.part.lower(), (item for item, _ in
-                                                                   KINDS[name]())))
+                                     + suggestion(arguments.part.lower(), known))
     return 0
 
 
