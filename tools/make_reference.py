@@ -76,7 +76,7 @@ def keys() -> Iterator[str]:
 def _group(prefix: str, group: Any) -> Iterator[str]:
     """Yield the table of a group of parameters."""
     rows = [(f'`{prefix}.{item.name}`', item.spec.description, _default(item.default),
-             item.spec.unit or '–', item.spec.range_text() or 'any', item.kind,
+             item.unit or '–', item.spec.range_text() or 'any', item.kind,
              'yes' if item.spec.structural else '') for item in schema.fields(group)]
     if not rows:
         yield 'No keys of its own.'

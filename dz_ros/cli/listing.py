@@ -71,7 +71,7 @@ def _configurations() -> Lines:
 def _keys() -> Lines:
     """Yield (key, meaning, unit, range, default) of every key of every installed class."""
     for key, field in every_field().items():
-        details = [field.spec.unit and f'[{field.spec.unit}]', field.spec.range_text(),
+        details = [field.unit and f'[{field.unit}]', field.spec.range_text(),
                    f'default {field.default!r}']
         yield key, f'{field.spec.description}; {", ".join(filter(None, details))}'
 

@@ -69,6 +69,11 @@ class Field:
     default: Any
     spec: Spec
 
+    @property
+    def unit(self) -> str:
+        """Unit as it is shown: a count, a seed or a number of something has none."""
+        return '' if self.kind == 'int' and self.spec.unit == '1' else self.spec.unit
+
 
 def parameter(default: Any, unit: str, description: str, **rules: Any) -> Any:
     """Declare a parameter of a frozen dataclass; `rules` are further fields of `Spec`."""

@@ -207,7 +207,7 @@ def configuration(view: View) -> str:
         return page.paragraph('The run carries no configuration.')
     c = view.setting.configuration
     units = Units.of(c.plant) if c else None
-    known = {key: (units.resolve_words(item.spec.unit), item.spec.description)
+    known = {key: (units.resolve_words(item.unit), item.spec.description)
              for key, item in c.declared().items()} if c and units else {}
     rows = [[key, str(value), *known.get(key, ('', ''))] for key, value in sorted(flat.items())]
     return page.folded(f'{len(rows)} keys', page.table(['key', 'value', 'unit', 'meaning'], rows))

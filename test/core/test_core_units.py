@@ -3,6 +3,7 @@
 
 import pytest
 
+from dz_ros.core.configuration import Configuration
 from dz_ros.core.units import Units
 
 SERVO = Units(2, ('rad', 'rad/s'), 'N m', ('1', 'rad/s'))
@@ -38,3 +39,10 @@ def test_units_of_parameters_are_resolved_from_their_words():
     ('unit of x', 'rad')])
 def test_a_list_of_different_units_has_each(words, expected):
     assert SERVO.resolve_words(words) == expected
+
+
+def test_a_count_is_shown_without_a_unit():
+    fields = Configuration.from_flat({}).fields()
+    assert fields['loop.seed'].unit == fields['plant.substeps'].unit == ''
+    assert fields['loop.rate'].unit == 'Hz'
+    assert fields['plant.dead_zone.m_r'].unit == '1'

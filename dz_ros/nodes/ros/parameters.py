@@ -54,7 +54,7 @@ def overrides(node: Node, names: Container[str]) -> dict[str, Any]:
 def descriptor(item: Field) -> ParameterDescriptor:
     """Return description, unit and range as ROS shows them; a range open at an end is text."""
     spec = item.spec
-    unit = f' [{spec.unit}]' if spec.unit else ''
+    unit = f' [{item.unit}]' if item.unit else ''
     fixed = 'fixed: stop the loop and start it with another value' if spec.structural else ''
     made = ParameterDescriptor(type=PARAMETER_TYPES[item.kind].value, read_only=spec.structural,
                                description=spec.description + unit, additional_constraints='; '
