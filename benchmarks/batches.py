@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Thousands of parameter sets: a row beside its bare loop, time, memory, and how a batch starts.
 
-    python benchmarks/batches.py [--quick] [--laws NAME …] [--whole]
+    python benchmarks/batches.py [--quick] [--laws NAME …] [--whole] [--inside NAME …]
 
 a row        CPU time of a row of `dz sweep` (configuration, run, metrics, margin) beside that
              of the compiled loop alone, called on arrays that are there; for every law, while
@@ -13,6 +13,7 @@ a batch      the paper's example, 20 s at 200 Hz, by `dz sweep` in processes of 
              in each)
 starting     `dz sweep` and `dz arena` of one run, code compiled before, from start to end
 --whole      100 000 runs from the first to the last
+--inside     what each part of a row takes, for these laws
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 import statistics
 import subprocess
@@ -37,11 +39,12 @@ from benchmarks.machine import describe  # noqa: E402
 from benchmarks.speed_kit.rows import in_turns, Row, show  # noqa: E402
 from benchmarks.starting import DZ, seconds  # noqa: E402
 from dz_ros.core.configuration import Configuration  # noqa: E402
-from dz_ros.core.loop.compiled import available, compiled_loop  # noqa: E402
+from dz_ros.core.design.stability import run_is_lost  # noqa: E402
+from dz_ros.core.loop.compiled import available, compiled_loop, simulate_fast  # noqa: E402
 from dz_ros.core.loop.offline import simulate  # noqa: E402
 from dz_ros.studies.code_folder import keep_compiled  # noqa: E402
 from dz_ros.studies.entrants import entrants  # noqa: E402
-from dz_ros.studies.outcome import rows_of  # noqa: E402
+from dz_ros.studies.outcome import chatter_share, measured, rows_of  # noqa: E402
 from dz_ros.studies.pool import cores  # noqa: E402
 from dz_ros.studies.scenarios import base_configuration  # noqa: E402
 from dz_ros.studies.sweep import CHUNK  # noqa: E402
@@ -157,6 +160,36 @@ def beside_bare(laws: Sequence[str], turns: int = TURNS) -> list[Row]:
     return rows
 
 
+def inside(names: Sequence[str]) -> list[str]:
+    """Return the CPU time of each part of a row, medians, as lines of a table."""
+    keep_compiled()
+    lines = ['| law | configuration | margin | arrays and loop | metrics | lost or not '
+             '| loop alone |', f'|{"---|" * 7}']
+    for name in names:
+        known = Configuration.from_changed(base_configuration(20.0),
+                                           dict(entrants()[name].changes))
+        bare_seconds(known, 1)
+        taken: list[list[float]] = []
+        for change in swept(known, 4 * CHUNK):
+            times = [time.process_time()]
+            c = known.replace(**change)
+            times.append(time.process_time())
+            chatter_share(c)
+            times.append(time.process_time())
+            run = simulate_fast(c)
+            times.append(time.process_time())
+            measured(run)
+            times.append(time.process_time())
+            run_is_lost(run)
+            times.append(time.process_time())
+            taken.append([after - before for before, after in pairwise(times)])
+        parts = [statistics.median(column) for column in zip(*taken, strict=True)]
+        alone = statistics.median(bare_seconds(known, 4 * CHUNK))
+        lines.append(f'| `{name}` | ' + ' | '.join(f'{1e6 * item:.0f} µs'
+                                                   for item in (*parts, alone)) + ' |')
+    return lines
+
+
 def starts(quick: bool) -> list[Row]:
     """Return how long batches of one run take, code compiled before."""
     times, rows = 3 if quick else 5, []
@@ -227,8 +260,13 @@ def main() -> int:
     parser.add_argument('--laws', nargs='+', choices=tuple(entrants()), metavar='NAME',
                         help='rows beside loops of these alone')
     parser.add_argument('--whole', action='store_true', help='100 000 runs alone')
+    parser.add_argument('--inside', nargs='+', choices=tuple(entrants()), metavar='NAME',
+                        help='what each part of a row takes')
     arguments = parser.parse_args()
     print(describe('numba', 'numpy'))
+    if arguments.inside:
+        print(*inside(arguments.inside), sep='\n')
+        return 0
     if arguments.whole:
         return show(whole())
     return show(beside_bare(arguments.laws) if arguments.laws else measure(arguments.quick))
