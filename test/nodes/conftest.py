@@ -317,10 +317,13 @@ class Robot:
     def start(self, *more, kind='forward', active=True, options=(), config=JOINT, path=ROOT):
         """Start emulator and loop; return the loop's nodes once they are started."""
         self.emulator(kind, active, options, config, path)
-        return {name: self._processes('-m', 'dz_ros.nodes.main', name, '--ros-args',
-                                      '--params-file', config, *self._watcher.patient, *more,
-                                      PYTHONPATH=str(path))
+        return {name: self.node(name, *more, config=config, path=path)
                 for name in ('actuator_node', 'controller_node', 'trajectory_node')}
+
+    def node(self, name, *more, config=JOINT, path=ROOT):
+        """Start a node of the loop."""
+        return self._processes('-m', 'dz_ros.nodes.main', name, '--ros-args', '--params-file',
+                               config, *self._watcher.patient, *more, PYTHONPATH=str(path))
 
 
 @pytest.fixture

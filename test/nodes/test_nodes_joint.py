@@ -456,10 +456,15 @@ def test_frozen_values_with_running_stamps_end_at_the_error_limit(watcher, robot
 @pytest.mark.ros
 def test_commands_of_an_inactive_controller_do_nothing_and_are_forgotten(
         watcher, robot):
-    sent = []
-    watcher.node.create_subscription(watcher.array, '/effort_controller/commands',
-                                     lambda message: sent.append(message.data[0]), 10)
-    robot.start('-p', 'safety.error_limit:=0.5', active=False)
+    sent, limit = [], ('-p', 'safety.error_limit:=0.5')
+    commands = watcher.node.create_subscription(
+        watcher.array, '/effort_controller/commands',
+        lambda message: sent.append(message.data[0]), 10)
+    robot.emulator(active=False)
+    robot.node('actuator_node', *limit)
+    watcher.wait(lambda: commands.get_publisher_count() > 0)    # before there is a command
+    for name in ('controller_node', 'trajectory_node'):
+        robot.node(name, *limit)
     # Only the error that grows shows it: that is what error_limit is for.
     watcher.wait_for_mode(controller_node='fault')
     assert watcher.modes()['controller_node'][1].startswith('error ')
