@@ -51,21 +51,17 @@ def load(source: Source = None, overrides: Mapping[str, Any] | None = None,
     if source is not None and not isinstance(source, (str, os.PathLike, Mapping, Configuration)):
         raise ConfigurationError('source', source, 'must be a name, a file, a mapping of keys or '
                                  'a configuration')
+    values = _valued({**(overrides or {}), **keys})
     if isinstance(source, Configuration) and source.axes:   # a key of all axes changes all
-        values = _valued({**(overrides or {}), **keys})
         allow_named(values, True)
-        return source.replace(**values)
-    if isinstance(source, Configuration):
-        flat = source.to_flat()
-    elif isinstance(source, Mapping):
-        flat = _flat(source)
+        found = source.replace(**values)
     else:
-        flat = flat_parameters(None if source is None else Path(source))
-    found = Configuration.from_changed(_valued(flat), _valued({**(overrides or {}), **keys}))
-    for key in found.set_aside:
-        if found.misfits(key):
-            warnings.warn(f'{key} is set aside: the list does not fit {found.plant.name}',
-                          stacklevel=2)
+        flat = (source.to_flat() if isinstance(source, Configuration) else
+                _flat(source) if isinstance(source, Mapping) else
+                flat_parameters(None if source is None else Path(source)))
+        found = Configuration.from_changed(_valued(flat), values)
+    for note in found.misfit_notes:
+        warnings.warn(note, stacklevel=2)
     return found
 
 

@@ -304,11 +304,10 @@ def read_all_axes(arguments: argparse.Namespace) -> Configuration:
             print(f'dz: note: {arguments.config}: sections of other nodes are left aside: '
                   f'{", ".join(aside)}', file=sys.stderr)
     typed = {override.partition('=')[0].strip() for override in overrides}
+    for note in configuration.misfit_notes:
+        print(f'dz: note: {note}', file=sys.stderr)
     for key in configuration.set_aside:
-        if configuration.misfits(key):
-            print(f'dz: note: {key} is set aside: the list does not fit '
-                  f'{configuration.plant.name}', file=sys.stderr)
-        elif key in typed:
+        if key in typed:
             print(f'dz: note: {key} is set aside: {configuration.plant.name}, '
                   f'{configuration.law.name} and {configuration.trajectory.name} do not use it',
                   file=sys.stderr)

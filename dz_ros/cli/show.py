@@ -76,7 +76,7 @@ def lines(c: Configuration, given: dict[str, Any], typed: dict[str, Any],
         shown = f'[{unit}]' if unit not in ('', '1') else ''
         yield f'{prefix + key:<{width}}  {text} {shown}'.rstrip() + f'  ({source})'
     for key in filter(wanted, c.set_aside):
-        reason = (f'does not fit {c.plant.name}' if c.misfits(key)
+        reason = (f'does not fit {c.plant.name}' if key in c.misfitting
                   else 'another class of its section owns it')
         yield f'{prefix + key:<{width}}  set aside: {reason}'
 

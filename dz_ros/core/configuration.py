@@ -527,11 +527,17 @@ class Configuration:
             made.update(zip(places, drivers, strict=True))
         return tuple(made[place] for place in range(len(each)))
 
-    def misfits(self, key: str) -> bool:
-        """Return whether a key was set aside because its list does not fit the plant."""
-        axis, own = parts(key)
-        item = self if axis not in self.axis_names else self.axis(axis)
-        return own in item.set_aside and own in item.fields()
+    @property
+    def misfitting(self) -> tuple[str, ...]:
+        """Keys that were set aside because their lists do not fit the plant."""
+        known = self.fields() if self.set_aside else {}
+        return tuple(key for key in self.set_aside if key in known)
+
+    @property
+    def misfit_notes(self) -> list[str]:
+        """A line about each of them."""
+        return [f'{key} is set aside: the list does not fit {self.plant.name}'
+                for key in self.misfitting]
 
     def fields(self) -> dict[str, schema.Field]:
         """Return the declaration of every key of this configuration."""
@@ -612,9 +618,9 @@ class Configuration:
                 _name_axis(error, name, place, mine)
                 raise
         earlier = split_keys(dict.fromkeys(self.set_aside))
-        misfits = dict.fromkeys(key for _, item in axes for key in item.set_aside
-                                if item.misfits(key))
-        return self._joined(tuple(axes), _unused(axes, {**earlier[0], **misfits}, earlier[1]))
+        common = {**earlier[0], **dict.fromkeys(key for _, item in axes
+                                                for key in item.misfitting)}
+        return self._joined(tuple(axes), _unused(axes, common, earlier[1]))
 
     @property
     def _groups(self) -> dict[str, tuple[Any, Any, Any]]:
@@ -681,8 +687,11 @@ def _unused(axes: list[tuple[str, Configuration]], common: Mapping[str, Any],
     A list of all axes that does not fit the plant of one is one of that axis.
     """
     found = [key for key in common if all(key in item.set_aside for _, item in axes)]
-    return (*found, *(axis_key(name, key) for name, item in axes for key in item.set_aside
-                      if key in own.get(name, ()) or (key not in found and item.misfits(key))))
+    for name, item in axes:
+        misfits = {*item.misfitting}.difference(found)
+        found += [axis_key(name, key) for key in item.set_aside
+                  if key in own.get(name, ()) or key in misfits]
+    return tuple(found)
 
 
 def _made(section: str, settings: Any, chosen: Any, *arguments: Any) -> Any:

@@ -25,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dz_ros.core.configuration import Configuration
-from dz_ros.core.records import Status
 from dz_ros.core.tracking import guaranteed_bounds
 from dz_ros.live.columns import DERIVED, Layout
+from dz_ros.runs.metrics import active
 
 Array = NDArray[np.float64]
 
@@ -103,7 +103,9 @@ class Deriver:
                 np.isnan(layer), design.epsilon, layer)
         if design is not None and layer is not None:
             if s is not None:
-                rows[:, place['s_over_epsilon']] = np.where(self._active(rows), s / layer, np.nan)
+                status = self._column(rows, 'status')
+                rows[:, place['s_over_epsilon']] = s / layer if status is None else np.where(
+                    active(status), s / layer, np.nan)
             if design.target > 0.0 and design.epsilon > 0.0:
                 unit = guaranteed_bounds(design.lambda_, 1.0, c.plant.order)[0]
                 rows[:, place['omega']] = unit * layer * design.target / design.epsilon
@@ -114,15 +116,6 @@ class Deriver:
             zone, stamp = c.dead_zone, rows[:, 1]
             for name, parameter in (('zone_low', 'b_l'), ('zone_high', 'b_r')):
                 rows[:, place[name]] = zone.history(parameter, stamp, c.loop.schedule)
-
-    def _active(self, rows: Array) -> NDArray[np.bool_]:
-        """Return the rows whose terms the law computed, shape (N,); all without a status."""
-        status = self._column(rows, 'status')
-        if status is None:
-            return np.ones(len(rows), dtype=bool)
-        known = np.isfinite(status) & (status >= 0.0)
-        bits = np.where(known, status, 0.0).astype(np.int64)
-        return np.asarray(~known | (bits & Status.INACTIVE == 0), dtype=np.bool_)
 
     def _held(self, epsilon: Array, c: Configuration) -> Array:
         """Return ε, as it was before where it is unknown or not positive; NaN = never known."""

@@ -402,6 +402,4 @@ def _notes(run: RunData, chosen: Configuration, overrides: Mapping[str, Any]) ->
     notes += [f'{key} is set aside: {chosen.plant.name}, {chosen.law.name} and '
               f'{chosen.trajectory_settings.kind} do not use it'
               for key in chosen.set_aside if key in overrides]
-    notes += [f'{key} is set aside: the list does not fit {chosen.plant.name}'
-              for key in chosen.set_aside if chosen.misfits(key)]
-    return notes
+    return notes + chosen.misfit_notes

@@ -20,11 +20,11 @@ from dz_ros.core.events import (
     UnmeasuredEvent,
 )
 from dz_ros.core.lateness import fell_behind, LATE_TEXT
-from dz_ros.core.records import Status
 from dz_ros.core.text import counted
 from dz_ros.report import page
-from dz_ros.report.guarantee import guarantee
+from dz_ros.report.guarantee import Guarantee, guarantee
 from dz_ros.report.view import View
+from dz_ros.runs.metrics import law_active
 
 REST = 0.25
 """Part of the window that must be within Ω_ε without a break to be named."""
@@ -63,7 +63,7 @@ class Verdict:
 
 def judge(view: View) -> Verdict:
     """Return the verdict on a run."""
-    unmeasured = _unmeasured(view)
+    unmeasured, promised = _unmeasured(view), guarantee(view)
     missing = {name: topic.sequence.missing for name, topic in view.timing.topics.items()}
     for name in {'state', 'reference'} & missing.keys():
         missing[name] -= unmeasured     # never to be published, nor was what a state asks for
@@ -80,7 +80,8 @@ def judge(view: View) -> Verdict:
     return Verdict(tuple(failures), tuple(filter(None, (
         _end(view), _modes(view),
         f'{counted(unmeasured, "sample")} without a measurement' if unmeasured else '',
-        _samples(view, bool(lost)), _inactive(view), _guaranteed(view), _uncovered(view)))),
+        _samples(view, bool(lost)), _inactive(view), _guaranteed(view, promised),
+        _uncovered(promised)))),
         tuple(filter(None, (fell_behind(len(view.rows.seq), _skipped(view)),))))
 
 
@@ -152,18 +153,14 @@ def _skipped(view: View) -> int:
 
 def _inactive(view: View) -> str:
     """Return the number of samples in which the law was not active."""
-    status = view.rows.terms.get('status')
-    if status is None:
-        return ''
-    known = np.where(np.isfinite(status) & (status >= 0.0), status, 0.0).astype(np.int64)
-    count = int(np.count_nonzero(known & Status.INACTIVE))
+    count = int(np.count_nonzero(~law_active(view.rows)))
     what = '1 sample, which counts' if count == 1 else f'{count} samples, which count'
     return f'the law was inactive in {what} for no share and no s/ε' if count else ''
 
 
-def _guaranteed(view: View) -> str:
+def _guaranteed(view: View, found: Guarantee) -> str:
     """Return where the errors stayed, and whether that is promised."""
-    found, share = guarantee(view), view.metrics.omega_share
+    share = view.metrics.omega_share
     if found.bounds is None or share is None:
         return found.statement
     (begin, end), t = view.metrics.window, view.rows.t
@@ -177,8 +174,7 @@ def _guaranteed(view: View) -> str:
             f'{"" if not found.broken else found.broken[0] + " "}{found.statement}')
 
 
-def _uncovered(view: View) -> str:
+def _uncovered(found: Guarantee) -> str:
     """Return that the run had a larger disturbance than the theorem's gain covers."""
-    found = guarantee(view)
     return (f'that promise is for a disturbance that k* covers: {found.covered.rstrip(".")}'
             if found.exceeded and not found.broken else '')

@@ -160,6 +160,11 @@ def law_active(rows: RunTable) -> NDArray[np.bool_]:
     status = rows.terms.get('status')
     if status is None or not status.any():
         return np.ones(len(rows.t), dtype=bool)
+    return active(status)
+
+
+def active(status: Array) -> NDArray[np.bool_]:
+    """Return where status bits leave a law active, shape (N,); where they are unknown too."""
     known = np.isfinite(status) & (status >= 0.0)
     bits = np.where(known, status, 0.0).astype(np.int64)
     return np.asarray(~known | (bits & Status.INACTIVE == 0), dtype=np.bool_)

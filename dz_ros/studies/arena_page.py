@@ -106,8 +106,7 @@ def where_better(begin: str, count: int, first: int, near: int,
         return [f'{sentence}.']
     return [f'{sentence}; another law is better in {len(beaten)}:', '',
             '| scenario | better law | error, times smaller |', '|---|---|---|',
-            *(f'| {name} | {f"`{law}`" if law else "none"} | {times} |'
-              for name, law, times in beaten)]
+            *(f'| {name} | `{law}` | {times} |' for name, law, times in beaten)]
 
 
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]], left: Container[int] = (0,)

@@ -97,10 +97,9 @@ def row_of(base: Mapping[str, Any], changed: Mapping[str, Any],
         return {**dict.fromkeys(COLUMNS), 'lost': 1, 'reason': f'refused: {error}'}
     except Exception as error:  # noqa: BLE001  the same
         return {**dict.fromkeys(COLUMNS), 'lost': 1, 'reason': f'failed: {one_line(error)}'}
-    misfits = [key for key in configuration.set_aside if configuration.misfits(key)]
-    if misfits:     # runs from other states are not to be compared
-        return {**dict.fromkeys(COLUMNS), 'lost': 1, 'reason':
-                f'refused: {", ".join(misfits)} does not fit {configuration.plant.name}'}
+    if configuration.misfitting:    # runs from other states are not to be compared
+        return {**dict.fromkeys(COLUMNS), 'lost': 1,
+                'reason': f'refused: {"; ".join(configuration.misfit_notes)}'}
     return run_row(configuration, yardstick)
 
 

@@ -75,8 +75,8 @@ def summary(found: Sequence[Found]) -> list[str]:
             first.append(name)
         elif own is not None and own.error <= NEAR * ranked[0].error:
             near.append(name)
-        else:
-            beaten.append((name, ranked[0].law if ranked else '', 'beyond a limit' if own is None
+        elif ranked:
+            beaten.append((name, ranked[0].law, 'beyond a limit' if own is None
                            else f'{own.error / ranked[0].error:.2f}'))
     return where_better(f'With gains tuned for each scenario `{REFERENCE}`', len(names),
                         len(first), len(near), beaten)

@@ -6,7 +6,7 @@ exclude the truth without a sign of it, so these data are refused (ours). What i
 
     number of holes in which samples are missing or no numbers
     step between neighbouring values of a signal       rounding, against how far it moves
-    the first state with its neighbours in time        jumps that no motion makes
+    the first state with its neighbours in time        jumps out of its own motion
     a signal with the integral of what was recorded as its rate      `rates`
 
 A rate that is wrong by little is a `Doubt`: no repeat differs by it, so the bounds of the slopes
