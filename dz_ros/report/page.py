@@ -16,7 +16,7 @@ from html import escape
 from dz_ros.core.text import printable
 from dz_ros.report.style import Picture
 
-SCALE = 110.0
+SCALE = 120.0
 """Pixels an inch up to which a picture is enlarged to the width of the page."""
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c1e21; --soft: #5c6168; --line: #d9dce0;
