@@ -23,7 +23,7 @@ from dz_ros.cli.progress import silence
 from dz_ros.cli.verbs import GROUPS, NOUNS, Verb, VERBS
 from dz_ros.errors import DzRosError, suggestion
 from dz_ros.runtime.import_path import drop_current_folder
-from dz_ros.runtime.os_signals import ENDS, ignore_ends
+from dz_ros.runtime.os_signals import ENDS, ignore_ends, restore_handlers
 from dz_ros.version import version
 
 USER_ERROR = 2
@@ -79,9 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if argv is None:
             ignore_ends()
         else:
-            for number, handler in previous.items():
-                if signal.getsignal(number) is not handler:
-                    signal.signal(number, handler)
+            restore_handlers(previous)
 
 
 def _run(words: Sequence[str]) -> int:

@@ -22,7 +22,7 @@ import yaml
 from dz_ros.cli import forked
 from dz_ros.errors import MissingDependencyError, NO_RCLPY
 from dz_ros.runtime.log_folder import log_folder_fault, NO_LOG_FILES
-from dz_ros.runtime.os_signals import ENDS, on_ends
+from dz_ros.runtime.os_signals import ENDS, on_ends, restore_handlers
 from dz_ros.runtime.process import PARENT
 
 GRACE = 10.0
@@ -202,8 +202,7 @@ class Nodes:
                  trace: TracebackType | None) -> None:
         for name in reversed(self._processes):
             self.end(name)
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
+        restore_handlers(self._previous)
 
     def start(self, nodes: Mapping[str, Sequence[str]]) -> None:
         """Start nodes with their ROS arguments, each in a session of its own."""

@@ -88,6 +88,7 @@ class OperatorNode(Node):
     def close(self) -> None:
         """Release everything."""
         self._executor.remove_node(self)
+        self._executor.shutdown()
         self.destroy_node()
 
     def _stop(self) -> None:

@@ -202,6 +202,7 @@ class ReplayNode(Node):
         """Let what was published reach its listeners, then release everything."""
         deliver(*self._outputs.values())
         self._executor.remove_node(self)
+        self._executor.shutdown()
         self.destroy_node()
         for held in self._claims:
             held.close()

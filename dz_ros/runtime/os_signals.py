@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache
 import signal
 import threading
 from types import FrameType
@@ -30,8 +31,35 @@ def ignore_ends() -> None:
     comes then, such as a second Ctrl-C, would kill an orderly end half a second before its exit
     code. A signal that is ignored stays ignored.
     """
-    for number in ENDS:
-        signal.signal(number, signal.SIG_IGN)
+    restore_handlers(dict.fromkeys(ENDS, signal.SIG_IGN))
+
+
+def restore_handlers(handlers: Mapping[int, Any]) -> None:
+    """Set handlers of signals, such as earlier ones; leave alone those that are set already.
+
+    A signal that comes while Python replaces a handler of its own by one of the system's has none
+    to call: Python writes a traceback and drops it. So the system takes the signal first; Python
+    handles what came before that, and only then gives up its handler.
+
+    Args:
+        handlers: Signal → its handler; None = not Python's, left alone.
+    """
+    for number, handler in handlers.items():
+        if handler is None or signal.getsignal(number) is handler:
+            continue
+        if handler in (signal.SIG_IGN, signal.SIG_DFL):
+            _system_signal()(number, int(handler))
+        signal.signal(number, handler)
+
+
+@cache
+def _system_signal() -> Callable[[int, int], int]:
+    """Return the C library's own `signal`."""
+    # Not imported before a signal can be taken: a busy machine takes long over it.
+    import ctypes
+    found = ctypes.CDLL(None).signal
+    found.argtypes, found.restype = (ctypes.c_int, ctypes.c_void_p), ctypes.c_void_p
+    return found
 
 
 class Stopping:
@@ -61,8 +89,7 @@ def stop_on_signals() -> Iterator[Stopping]:
     try:
         yield stopping
     finally:
-        for number, handler in earlier.items():
-            signal.signal(number, handler)
+        restore_handlers(earlier)
 
 
 @contextmanager
@@ -82,7 +109,6 @@ def held_ends(deliver: bool = True) -> Iterator[None]:
     try:
         yield
     finally:
-        for number, handler in earlier.items():
-            signal.signal(number, handler)
+        restore_handlers(earlier)
         if came and deliver:
             signal.raise_signal(came[0])

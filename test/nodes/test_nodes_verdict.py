@@ -38,7 +38,8 @@ def test_a_planned_end_is_no_failure(run, tmp_path):
     loop = run('--duration', '1', '--record', tmp_path / 'run')
     assert loop.wait() == 0, loop.output
     lines = loop.output.splitlines()
-    first = lines.index('verdict: no failure')
+    # A busy machine may have skipped samples, which the line then adds.
+    first = next(n for n, line in enumerate(lines) if line.startswith('verdict: no failure'))
     assert lines[first + 1] == '  planned end; recording complete'
     assert lines[-1] == f'next: dz report {tmp_path / "run"}'
     assert any('max |x̃|' in line for line in lines[first:])

@@ -26,7 +26,7 @@ from dz_ros.errors import ConfigurationError, RecordingError
 from dz_ros.files.configurations import load_configuration, write_parameters
 from dz_ros.identification.estimation.pipeline import identify_log, refine_identified
 from dz_ros.identification.proposal import propose
-from dz_ros.runtime.os_signals import ENDS
+from dz_ros.runtime.os_signals import ENDS, restore_handlers
 from dz_ros.studies.tune import Proposal
 
 PEAK = 2.46
@@ -170,8 +170,7 @@ def loop_step(state: State) -> Outcome:
     try:
         code = arguments.do(arguments)
     finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        restore_handlers(previous)
     sys.stdout.flush()
     if code == INTERRUPTED and not state.operator.stopped():
         raise KeyboardInterrupt('the loop has ended in order' + (

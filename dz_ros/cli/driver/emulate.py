@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-import signal
 import sys
 from types import FrameType
 from typing import Any
@@ -16,7 +15,7 @@ from dz_ros.drivers.emulators import Emulator, EMULATORS, Fault
 from dz_ros.errors import ConfigurationError, DzRosError
 from dz_ros.files.configurations import shipped_configurations
 from dz_ros.files.yaml12 import parse, YamlError
-from dz_ros.runtime.os_signals import on_ends
+from dz_ros.runtime.os_signals import on_ends, restore_handlers
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -109,7 +108,6 @@ def _be(emulator: Emulator) -> int:
         emulator.run(lambda: ended, lambda text: print(text, flush=True))
     finally:
         emulator.close()
-        for number, handler in previous.items():
-            signal.signal(number, handler)
+        restore_handlers(previous)
         sys.stdout.flush()
     return 0

@@ -431,6 +431,8 @@ class LoopNode(Node):
         """Let what was published reach its subscribers, then release everything."""
         self.flush()
         self._executor.remove_node(self)
+        # Its entities end only after this; until then others wait for it to acknowledge.
+        self._executor.shutdown()
         self.destroy_node()
         for held in self._claims:
             held.close()
