@@ -10,10 +10,10 @@ import threading
 
 import pytest
 
+from dz_ros.runtime import os_signals
 from dz_ros.runtime.claim import claim, ClaimedError, domain_topic
 from dz_ros.runtime.deadlines import Deadlines
-from dz_ros.runtime.os_signals import (ENDS, held_ends, ignore_ends, on_ends, restore_handlers,
-                                       stop_on_signals)
+from dz_ros.runtime.os_signals import ENDS, held_ends, stop_on_signals
 from dz_ros.runtime.process import settle, SWITCH_INTERVAL
 
 
@@ -159,7 +159,7 @@ def test_a_hangup_that_is_ignored_stays_so(handled):
 def test_a_signal_that_comes_while_its_handler_is_replaced_by_the_system_s_is_not_python_s(
         monkeypatch):
     taken = []
-    earlier = on_ends(lambda number, _frame: taken.append(number))
+    earlier = os_signals.on_ends(lambda number, _frame: taken.append(number))
     replace = signal.signal
     try:
         signal.raise_signal(signal.SIGTERM)
@@ -167,9 +167,9 @@ def test_a_signal_that_comes_while_its_handler_is_replaced_by_the_system_s_is_no
         with monkeypatch.context() as patch:
             patch.setattr(signal, 'signal', lambda number, handler: (
                 signal.raise_signal(number), replace(number, handler))[1])
-            ignore_ends()
+            os_signals.ignore_ends()
         assert taken == [signal.SIGTERM]
         assert {signal.getsignal(number) for number in ENDS} == {signal.SIG_IGN}
     finally:
-        restore_handlers(earlier)
+        os_signals.restore_handlers(earlier)
     assert {number: signal.getsignal(number) for number in earlier} == earlier
