@@ -192,7 +192,7 @@ class Nodes:
     def __init__(self) -> None:
         self.interrupted = False
         self._processes: dict[str, NodeProcess] = {}
-        self._previous: dict[int, Any] = {}
+        self._previous: Mapping[Any, Any] = {}
 
     def __enter__(self) -> Nodes:
         self._previous = on_ends(self._interrupt)

@@ -15,7 +15,7 @@ ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that end a program in order; the last one is a terminal that was closed."""
 
 
-def on_ends(handler: Callable[[int, FrameType | None], None]) -> dict[int, Any]:
+def on_ends(handler: Callable[[int, FrameType | None], None]) -> dict[signal.Signals, Any]:
     """Have a handler called for each of `ENDS`; return the earlier handlers.
 
     A SIGHUP that is ignored, as `nohup` arranges, stays so.
@@ -34,7 +34,7 @@ def ignore_ends() -> None:
     restore_handlers(dict.fromkeys(ENDS, signal.SIG_IGN))
 
 
-def restore_handlers(handlers: Mapping[int, Any]) -> None:
+def restore_handlers(handlers: Mapping[signal.Signals, Any]) -> None:
     """Set handlers of signals, such as earlier ones; leave alone those that are set already.
 
     A signal that comes while Python replaces a handler of its own by one of the system's has none
