@@ -11,7 +11,7 @@ yardstick which is the same for every law, so that a law cannot win by naming a 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from functools import lru_cache
 import math
 from typing import Any
@@ -32,6 +32,8 @@ from dz_ros.runs.table import RunTable
 from dz_ros.studies.code_folder import keep_compiled
 
 Row = dict[str, Any]
+Stages = Generator[None, None, Row]
+"""A row that is being made; it pauses once its run is prepared."""
 
 NUMBERS = ('error_max', 'error_rms', 's_over_epsilon_max', 'layer_share', 'v_rms', 'v_peak',
            'v_peak_run', 'v_variation', 'v_highpass', 'settling_time', 'recovery_time')
@@ -41,6 +43,8 @@ COLUMNS = (*NUMBERS, 'omega', 'chatter_share', 'lost', 'reason')
 gain at which chatter begins at this b m and this delay; 1 where the run was lost; why."""
 CHOOSING = frozenset({'loop.axes', *(f'{section}.{key}' for section, key in SELECTORS.items())})
 """Keys that choose axes or a class; where one is changed, others are set aside."""
+TOGETHER = 32
+"""Most rows of which the runs are prepared before the first of them."""
 LONGEST = 300
 """Letters of a reason at most; some compilers explain themselves over pages."""
 
@@ -52,11 +56,17 @@ def run_row(configuration: Configuration, yardstick: Sequence[float] | None = No
         configuration: What to run.
         yardstick: Bounds on |x̃_i| that count as Ω_ε, shape (n,); None = the law's own.
     """
+    return _side_by_side([_run_stages(configuration, yardstick)])[0]
+
+
+def _run_stages(configuration: Configuration, yardstick: Sequence[float] | None) -> Stages:
+    """Make the row of one run; pause before the run."""
     row: Row = {**dict.fromkeys(COLUMNS), 'lost': 0, 'reason': ''}
     try:
         row['chatter_share'] = chatter_share(configuration)
         if configuration.loop.samples < 4:
             return {**row, 'lost': 1, 'reason': 'loop.duration is too short to measure anything'}
+        yield
         run = simulate_fast(configuration)
         if not (np.isfinite(run.x).all() and np.isfinite(run.v).all()):
             finite = np.isfinite(run.x).all(axis=1) & np.isfinite(run.v)
@@ -79,15 +89,21 @@ def one_line(error: Exception) -> str:
 
 
 def row_of(base: Mapping[str, Any], changed: Mapping[str, Any],
-           yardstick: Sequence[float] | None = None, known: Configuration | None = None) -> Row:
+           yardstick: Sequence[float] | None = None) -> Row:
     """Return the row of a flat configuration with keys changed; if refused, with the reason.
 
     Args:
         base: Flat configuration.
         changed: Keys of it that are changed.
         yardstick: As of `run_row`.
-        known: The configuration of `base`, so that sections without changes need not be made.
     """
+    return _side_by_side([_changed_stages(base, changed, yardstick)])[0]
+
+
+def _changed_stages(base: Mapping[str, Any], changed: Mapping[str, Any],
+                    yardstick: Sequence[float] | None,
+                    known: Configuration | None = None) -> Stages:
+    """Make the row of `row_of`; sections without changes are those of `known`, that of `base`."""
     try:
         configuration = (Configuration.from_changed(base, changed)
                          if known is None or known.axes or any(
@@ -100,7 +116,7 @@ def row_of(base: Mapping[str, Any], changed: Mapping[str, Any],
     if configuration.misfitting:    # runs from other states are not to be compared
         return {**dict.fromkeys(COLUMNS), 'lost': 1,
                 'reason': f'refused: {"; ".join(configuration.misfit_notes)}'}
-    return run_row(configuration, yardstick)
+    return (yield from _run_stages(configuration, yardstick))
 
 
 def rows_of(base: Mapping[str, Any], changes: Sequence[Mapping[str, Any]],
@@ -111,7 +127,27 @@ def rows_of(base: Mapping[str, Any], changes: Sequence[Mapping[str, Any]],
         known = Configuration.from_changed(base, {})
     except Exception:  # noqa: BLE001  the changes may mend it; if not, each row has the reason
         known = None
-    return [row_of(base, changed, yardstick, known) for changed in changes]
+    rows: list[Row] = []
+    for begin in range(0, len(changes), TOGETHER):
+        rows += _side_by_side([_changed_stages(base, changed, yardstick, known)
+                               for changed in changes[begin:begin + TOGETHER]])
+    return rows
+
+
+def _side_by_side(rows: Sequence[Stages]) -> list[Row]:
+    """Return rows whose runs are prepared one after the other, before the first of them.
+
+    A run takes what its preparation needs out of the processor's caches; so it is fetched once for
+    all. To run several before their metrics gains nothing: their arrays need new memory.
+    """
+    made: dict[int, Row] = {}
+    while waiting := [place for place in range(len(rows)) if place not in made]:
+        for place in waiting:
+            try:
+                next(rows[place])
+            except StopIteration as end:
+                made[place] = end.value
+    return [made[place] for place in range(len(rows))]
 
 
 def measured(run: Run, yardstick: Sequence[float] | None = None) -> Row:
