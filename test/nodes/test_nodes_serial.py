@@ -61,22 +61,30 @@ def wait_until_taken(processes, watcher, nodes):
 
 
 def wait_until_begun(watcher, device, fault):
-    """Wait until a fault of the device's script begins; until then a stall's faults are reset.
+    """Wait until a fault of the device's script has latched the loop; return the reason.
 
     The script runs from the first command that moves the device: a machine that stalls before it
-    latches the loop, and neither the command nor the fault would ever come.
+    latches the loop, and neither the command nor the fault would ever come. So a stall's fault is
+    reset; where the script's begins meanwhile, that reset is of both, and the stall's is returned.
     """
     begun = f'{fault.partition("@")[0].rpartition(":")[2]} begins'
+    stalled = ''
 
     def reached():
+        nonlocal stalled
+        mode, reason = watcher.modes()['actuator_node']
         if begun in device.output:
             return True
-        if watcher.modes()['actuator_node'][0] == 'fault':
+        stalled = reason if mode == 'fault' else ''
+        if stalled:
             watcher.recovered()
         return False
 
     watcher.wait(reached)
+    if stalled:
+        return stalled
     watcher.wait_for_mode(actuator_node='fault')
+    return watcher.modes()['actuator_node'][1]
 
 
 def end(nodes):
@@ -103,9 +111,8 @@ def test_the_adaptive_loop_tracks_through_the_line(loop, watcher):
 ])
 def test_a_fault_of_the_device_is_latched_and_a_reset_goes_on(loop, watcher, fault, reason):
     device, nodes = loop(fault, silence='0.3', wait=False)
-    wait_until_begun(watcher, device, fault)
+    reported = wait_until_begun(watcher, device, fault)
     # Whichever of the limits is the first to see that nothing comes may report it.
-    reported = watcher.modes()['actuator_node'][1]
     assert reason in reported or 'no measurement for' in reported or 'sent nothing' in reported
     device.wait_for_line(f'{fault.partition("@")[0]} ends')
     watcher.wait(watcher.recovered)
@@ -127,9 +134,8 @@ def test_a_device_that_lies_or_receives_nothing_gets_no_power_before_a_reset(loo
                                                                              reason):
     device, nodes = loop(fault, silence='1.0', wait=False, watchdog='0.1', fresh='20.0')
     name = fault.partition('@')[0]
-    wait_until_begun(watcher, device, fault)
+    reported = wait_until_begun(watcher, device, fault)
     stopped = len(device.output.splitlines())
-    reported = watcher.modes()['actuator_node'][1]
     # On a busy machine a stall may be the first that is seen.
     assert any(text in reported for text in (reason, 'has tripped', 'no measurement', 'no command',
                                              'sent nothing', 'does not run again')), reported
@@ -245,8 +251,7 @@ def test_three_axes_track_through_one_line(machine, watcher):
 
 def test_a_trip_of_one_motor_stops_all_and_names_its_axis(machine, watcher):
     device, nodes = machine('tilt:trip@3+2')
-    wait_until_begun(watcher, device, 'tilt:trip@3+2')
-    reported = watcher.modes()['actuator_node'][1]
+    reported = wait_until_begun(watcher, device, 'tilt:trip@3+2')
     # On a busy machine a stall may be the first that is seen.
     assert reported == 'axis tilt: the device reports fault 7' or any(
         text in reported for text in ('has tripped', 'no measurement', 'no command',
