@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 import sys
 
-from dz_ros.cli.interrupt import prompt_end
+from dz_ros.cli.interrupt import NOTHING_KEPT, prompt_end
 from dz_ros.cli.progress import Progress, stage
 from dz_ros.core.loop.compiled import available
 from dz_ros.errors import ConfigurationError
@@ -63,7 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
         return _retune(arguments, plan)
     if arguments.ros:
         from dz_ros.cli.arena_ros import compare_with_ros
-        return compare_with_ros(plan, quiet=arguments.quiet)
+        try:
+            return compare_with_ros(plan, quiet=arguments.quiet)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(NOTHING_KEPT) from None
     if not available() and not arguments.quiet:
         print("dz: note: without numba this takes long: pip install 'dz_ros[numba]'",
               file=sys.stderr)

@@ -36,7 +36,7 @@ def five_rows(view: View) -> list[Row]:
     period = f' of {timing.period * 1e3:g} ms' if timing.period is not None else ''
     return [
         ('max |x̃|', _number(metrics.error_max), _unit(view, 'x')),
-        ('total variation of v', _number(metrics.v_variation), _unit(view, 'v/s') or '1/s'),
+        ('total variation of v', _number(metrics.v_variation), _unit(view, 'v/s')),
         (f'periods within {LATE_TEXT}{period}', _number(within, 100.0), '%'),
         ('messages missing, all topics', str(missing), ''),
         ('state to command, p99', _number(judged.p99 if judged else None, 1e3), 'ms'),

@@ -131,7 +131,8 @@ class ModeEvent(Event):
     """A change of mode.
 
     Attributes:
-        mode, earlier: The new mode and the one before it.
+        mode: The new mode.
+        earlier: The mode before it.
         cause: Event of the table of modes.
         reason: Why, as text.
     """
