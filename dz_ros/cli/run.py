@@ -198,7 +198,7 @@ class _Loop:
                                    ', but '.join(filter(None, ('no failure', behind))))
                     + (f'; {self._counts}' if self._counts else ''))
         self._print('next: dz report ' + str(self._directory) if self._directory is not None
-                    else 'next: with --record DIR the run is kept for dz report')
+                    else 'next: with --record DIR losses and Ω_ε are judged too, for dz report')
         return bool(self._latched)
 
     def _failures(self) -> list[str]:
