@@ -17,6 +17,7 @@ from dz_ros.cli.output import print_json
 from dz_ros.cli.progress import stage
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.certificate import Certificate, certify
+from dz_ros.core.units import Units
 from dz_ros.errors import ConfigurationError
 from dz_ros.runs.metrics import jsonable
 from dz_ros.studies.certified_runs import certificate_picture, random_runs, reached
@@ -68,16 +69,16 @@ def run(arguments: argparse.Namespace) -> int:
 
 def format_certificate(found: Certificate, configuration: Configuration) -> str:
     """Return the certificate as text: bounds, then what is assumed, proven and not."""
-    units = configuration.plant.state_units
+    behind = Units.of(configuration.plant).behind
+    s = behind('x^(n-1)')
     lines = [f'{configuration.law.name} on {configuration.plant.name}, '
              f'{configuration.loop.rate:g} Hz: '
              + ('certified' if found.certified else 'NOT CERTIFIED')]
     for item in found.delays:
-        bounds = ', '.join(f'|x̃{i}| <= {bound:.3g}' + ('' if unit == '1' else f' {unit}')
-                           for i, (bound, unit) in enumerate(
-                               zip(item.error_bound, units, strict=False), 1))
+        bounds = ', '.join(f'|x̃{i + 1}| <= {bound:.3g}{behind(f"x^({i})")}'
+                           for i, bound in enumerate(item.error_bound))
         lines.append(f'  delay {item.delay}: ' + ('' if item.certified else 'not certified. ')
-                     + (f'{bounds}; |s| <= {item.s_bound:.3g}, ε = {item.epsilon:.3g}; '
+                     + (f'{bounds}; |s| <= {item.s_bound:.3g}{s}, ε = {item.epsilon:.3g}{s}; '
                         f'fades in {item.fade:.2g} s' if item.error_bound else 'no bound'))
         lines += _wrapped(item.failed, '    fails: ')
         if item.change:

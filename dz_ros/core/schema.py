@@ -144,6 +144,8 @@ def check_value(field: Field, value: Any, key: str) -> Any:
         ConfigurationError: Wrong type, not finite, out of range or not among the choices.
     """
     spec = field.spec
+    if field.kind == 'float' and type(value) is float and spec.minimum < value < spec.maximum:
+        return value        # most values; what is not finite is within no limits
     try:
         converted = _convert(field.kind, value)
     except (TypeError, OverflowError):

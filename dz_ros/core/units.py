@@ -59,6 +59,11 @@ class Units:
         powers: dict[str, int] = {}
         return _text(powers) if self._multiply(powers, expression, 1) else ''
 
+    def behind(self, expression: str) -> str:
+        """Return the unit as it stands behind a number, ' m/s'; '' without one or not known."""
+        unit = self.resolve(expression)
+        return '' if unit in ('', '1') else f' {unit}'
+
     def resolve_words(self, text: str) -> str:
         """Return the unit of a parameter, as 'actuator unit per unit of s', for this plant.
 

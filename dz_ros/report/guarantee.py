@@ -23,6 +23,7 @@ from dz_ros.core.design.observation import observed_state
 from dz_ros.core.design.robust_gain import RobustGain
 from dz_ros.core.safety.health import CHATTER, variation_share
 from dz_ros.core.tracking import guaranteed_bounds
+from dz_ros.core.units import Units
 from dz_ros.errors import DzRosError
 from dz_ros.report.view import View
 from dz_ros.runs.metrics import choose_window
@@ -137,7 +138,8 @@ def _covered(view: View) -> tuple[str, bool]:
     if disturbance is None or gain.design.k <= 0.0 or not gain.covers():
         return f'{gain.words}.', False
     largest = float(np.abs(np.nan_to_num(disturbance)).max(initial=0.0))
-    return (f'{gain.words}; this run had {largest:.4g} of it{gain.beside(largest)}.',
+    return (f'{gain.words}; this run had {largest:.4g}{gain.units.behind("x^(n)")} of it'
+            f'{gain.beside(largest)}.',
             view.setting.law in PROVEN and not gain.covers(largest))
 
 
@@ -150,6 +152,7 @@ def _observed(view: View) -> str:
 
 def _beyond(view: View, c: Configuration) -> tuple[str, ...]:
     """Return what the theorem does not cover and this run has."""
+    behind = Units.of(c.plant).behind
     found = [f'Sampling: the law runs every {1e3 * c.loop.period:g} ms, not continuously.']
     observed = _observed(view)
     if observed:
@@ -162,11 +165,11 @@ def _beyond(view: View, c: Configuration) -> tuple[str, ...]:
     if view.setting.mode == 'realtime':
         found.append('Transport: commands arrive when they do; see the timing.')
     if any(c.noise):
-        found.append('Measurement noise of standard deviation '
-                     f'{", ".join(f"{value:g}" for value in c.noise)}; it is part of the measured '
-                     'error.')
+        noise = ', '.join(f'{value:g}{behind(f"x^({i})")}' for i, value in enumerate(c.noise))
+        found.append(f'Measurement noise of standard deviation {noise}; it is part of the '
+                     'measured error.')
     if c.plant_settings.command_limit:
-        found.append(f'The actuator clips |v| to {c.plant_settings.command_limit:g}.')
+        found.append(f'The actuator clips |v| to {c.plant_settings.command_limit:g}{behind("v")}.')
     if np.nan_to_num(view.rows.truth.get('disturbance', np.zeros(1))).any():
         found.append('A disturbance that the controller does not model.')
     return tuple(found)

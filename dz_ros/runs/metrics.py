@@ -225,9 +225,12 @@ def measure(rows: RunTable, setting: Setting, *, window: tuple[float, float] | N
     inside = _span((rows.t >= begin - 1e-9) & (rows.t <= end + 1e-9))
     errors = [rows.x[:, i] - rows.x_d[:, i] for i in range(rows.x.shape[1])]
     t, v, error = rows.t[inside], rows.v[inside], [item[inside] for item in errors]
-    epsilon = layer_width(rows, setting)[inside]
+    windowed = replace(rows, t=t, x=rows.x[inside], x_d=rows.x_d[inside], terms={
+        name: rows.terms[name][inside] for name in ('s', 'epsilon', 'status')
+        if name in rows.terms})
+    epsilon = layer_width(windowed, setting)
     with np.errstate(over='ignore', invalid='ignore'):
-        ratio = np.abs(filtered_error(rows, setting)[inside] / epsilon)
+        ratio = np.abs(filtered_error(windowed, setting) / epsilon)
     remain = FOR_GOOD * rows.duration
     recovered = None if pulse is None else settled_after(rows.t, errors[0], tolerance, pulse,
                                                          min(remain, 0.5 * (rows.t[-1] - pulse)))

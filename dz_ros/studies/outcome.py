@@ -21,7 +21,7 @@ import numpy as np
 from dz_ros.core.configuration import Configuration, SELECTORS
 from dz_ros.core.design.linear_loop import largest_beta, LayerModel
 from dz_ros.core.design.stability import run_is_lost
-from dz_ros.core.loop.compiled import simulate_fast
+from dz_ros.core.loop.compiled import prepare_fast
 from dz_ros.core.loop.offline import Run
 from dz_ros.core.signals import TERM_NAMES
 from dz_ros.core.units import Units
@@ -66,8 +66,9 @@ def _run_stages(configuration: Configuration, yardstick: Sequence[float] | None)
         row['chatter_share'] = chatter_share(configuration)
         if configuration.loop.samples < 4:
             return {**row, 'lost': 1, 'reason': 'loop.duration is too short to measure anything'}
+        run_loop = prepare_fast(configuration)
         yield
-        run = simulate_fast(configuration)
+        run = run_loop()
         if not (np.isfinite(run.x).all() and np.isfinite(run.v).all()):
             finite = np.isfinite(run.x).all(axis=1) & np.isfinite(run.v)
             begin = run.t[int(finite.argmin())]

@@ -78,14 +78,14 @@ def test_numbers_of_the_example():
     ({'plant.b': 2.0}, 'input gain', WARNING, 'b = 2'),
     ({'plant.b': 2.0, 'controller.b_bounds': [0.5, 2.0]}, 'input gain', INFO, 'holds'),
     ({'controller.k_star': 1.0}, '(18)', ERROR, 'rho/m_min = 1.029'),
-    ({'controller.k_star': 1.5}, '(18)', WARNING, 'a disturbance of up to 0.4'),
+    ({'controller.k_star': 1.5}, '(18)', WARNING, 'a disturbance of up to 0.4 1/s²'),
     ({'controller.law': 'adaptive'}, '(18)', WARNING, 'no robust term'),
     ({'controller.law': 'pid'}, 'Ω', INFO, 'promises no set'),
     ({'controller.law': 'exact_inverse'}, '(18)', INFO, 'compensates the dead-zone itself'),
     ({'controller.law': 'robust', 'controller.k_star': 2.0}, '(18)', ERROR, 'of the integral'),
-    ({'controller.law': 'robust'}, '(18)', INFO, 'the model has 1.25 of it, of which the'),
+    ({'controller.law': 'robust'}, '(18)', INFO, 'the model has 1.25 1/s² of it, of which the'),
     ({'controller.law': 'robust', 'controller.rho_1': 1.0}, '(18)', WARNING,
-     'a disturbance of up to 0.0005; along the reference the model has 1.25 of it, more than'),
+     'a disturbance of up to 0.0005 1/s²; along the reference the model has 1.25 1/s² of it'),
     ({'controller.law': 'robust'}, 'projection', INFO, 'holds'),
     ({'controller.law': 'robust', 'controller.b_bounds': [0.2, 2.0]}, 'projection', WARNING,
      'φ̂ may have to be in [0.4, 5.88]'),
@@ -107,7 +107,7 @@ def test_the_noise_of_v_is_that_of_s_times_the_gain():
               'plant__resolution': 1e-3}
     c = configuration(**values)
     item, = found('not covered', **values)
-    shown = float(item.words.partition('v shows ')[2].partition(' of it')[0])
+    shown = float(item.words.partition('v shows ')[2].partition(' A of it')[0])
     design = c.law.design
     assert shown == pytest.approx(
         (design.gain + design.lead) * noise_in_s(c, 1, (1e-3,)), rel=5e-3)

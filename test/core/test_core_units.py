@@ -46,3 +46,10 @@ def test_a_count_is_shown_without_a_unit():
     assert fields['loop.seed'].unit == fields['plant.substeps'].unit == ''
     assert fields['loop.rate'].unit == 'Hz'
     assert fields['plant.dead_zone.m_r'].unit == '1'
+
+
+def test_a_unit_stands_behind_its_number():
+    behind = Units.of(Configuration.from_flat({'plant.model': 'servo'}).plant).behind
+    assert [behind(item) for item in ('x', 'x^(n-1)', 'x^(n)', 'v', 'v/x^(n-1)', '1')] == [
+        ' rad', ' rad/s', ' rad/s²', ' A', ' A s/rad', '']
+    assert Units(2).behind('x') == ''

@@ -327,14 +327,14 @@ def test_chatter_inside_the_layer_is_reported(simulated, changes, chatters):
 def test_the_disturbance_is_held_against_what_k_star_leaves(simulated):
     # |δ| = 0.5 a3 |x sin 3t|; k* = 2.5 leaves (2.5 − 0.875/0.85) 0.85 = 1.25
     small = guarantee(View.of(simulated({'plant.a3': 0.5})))
-    assert 'a disturbance of up to 1.25; this run had 0.6' in small.covered
+    assert 'a disturbance of up to 1.25 1/s²; this run had 0.6' in small.covered
     assert 'more than k* covers' not in small.covered
     assert 'does not model' in small.beyond[-1]
     large = guarantee(View.of(simulated({'plant.a3': 2.0})))
     assert large.covered.endswith('of it, more than k* covers.')
     none = guarantee(View.of(simulated({'plant.a3': 0.0})))
     assert 'disturbance' not in ' '.join(none.beyond)
-    assert none.covered.endswith('this run had 0 of it.')
+    assert none.covered.endswith('this run had 0 1/s² of it.')
 
 
 def test_a_law_without_layer_or_theorem_is_promised_nothing(simulated):

@@ -55,6 +55,7 @@ from dz_ros.core.design.loop_sums import loop_sums, LoopSums, SMOOTH
 from dz_ros.core.loop.offline import simulate
 from dz_ros.core.plants.coupled import CoupledPlant
 from dz_ros.core.tracking import error_weights, feed_forward_weights
+from dz_ros.core.units import Units
 from dz_ros.errors import ConfigurationError
 
 Array = NDArray[np.float64]
@@ -516,20 +517,23 @@ def _inequalities(c: Configuration, loop: _Delay, s_bound: float, slot: float,
                   command: float) -> tuple[list[str], str]:
     """Return the inequalities that fail, and what would do."""
     design, failed, change = loop.design, [], []
+    behind = Units.of(c.plant).behind
+    unit, v = behind('x^(n-1)'), behind('v')
     if s_bound > design.epsilon:
-        failed.append(f'|s| <= {s_bound:.4g} is not within ε = {design.epsilon:.4g}')
+        failed.append(f'|s| <= {s_bound:.4g}{unit} is not within ε = {design.epsilon:.4g}{unit}')
         wider = wider_layer(c, s_bound)
         if wider:
             change.append(' with '.join(f'{key} = {value:.4g}' for key, value in wider.items())
                           + ': the same K in a layer wide enough')
     if len(loop.model.c) and slot > design.inner_reserve > 0.0:
-        failed.append(f'the slot <= {slot:.4g} is not within its authority rho_1 = '
-                      f'{design.inner_reserve:.4g}')
+        failed.append(f'the slot <= {slot:.4g}{v} is not within its authority rho_1 = '
+                      f'{design.inner_reserve:.4g}{v}')
         change.append(f'controller.rho_1 = {WIDER * slot:.4g}')
     limits = [item for item in (c.plant_settings.command_limit,
                                 getattr(c.law.gains, 'v_max', 0.0)) if item > 0.0]
     if limits and command > min(limits):
-        failed.append(f'|v| <= {command:.4g} is not within the limit {min(limits):.4g}')
+        failed.append(f'|v| <= {command:.4g}{v} is not within the limit '
+                      f'{min(limits):.4g}{v}')
         change.append('a slower reference, or a stronger actuator')
     return failed, '; '.join(change)
 

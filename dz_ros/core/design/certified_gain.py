@@ -16,6 +16,7 @@ from typing import Any, TYPE_CHECKING
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.design.linear_loop import largest_beta, largest_gain
 from dz_ros.core.design.rules import derives_epsilon, own_margin
+from dz_ros.core.units import Units
 from dz_ros.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -57,9 +58,10 @@ def which_gain(c: Configuration, delay: int,
             continue
         shown = bounds_of(tried, True)
         if shown.certified:
+            unit = Units.of(c.plant).behind('v/x^(n-1)')
             return (' with '.join(f'{key} = {value:.4g}' for key, value in changes.items())
-                    + f': K = {gain:.4g} instead of {design.gain:.4g}, certified so at delay '
-                    f'{delay}' + _bound(c, shown))
+                    + f': K = {gain:.4g}{unit} instead of {design.gain:.4g}{unit}, certified so '
+                    f'at delay {delay}' + _bound(c, shown))
     if not gains:
         return 'no K is calm: raise loop.rate'
     return (f'none of {len(gains)} values of K from {min(gains):.3g} to {max(gains):.3g} was '
@@ -70,8 +72,7 @@ def _bound(c: Configuration, shown: DelayBounds) -> str:
     """Return the bound on the error as text."""
     if not shown.error_bound:
         return ''
-    unit = c.plant.state_units[0]
-    return f', |x̃1| <= {shown.error_bound[0]:.3g}' + ('' if unit == '1' else f' {unit}')
+    return f', |x̃1| <= {shown.error_bound[0]:.3g}' + Units.of(c.plant).behind('x')
 
 
 def gain_keys(c: Configuration, gain: float) -> dict[str, Any]:

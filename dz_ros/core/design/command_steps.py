@@ -24,6 +24,7 @@ from dz_ros.core.design.finding import Finding, INFO, WARNING
 from dz_ros.core.design.linear_loop import LayerModel, LinearObserver, loop_matrix
 from dz_ros.core.design.observation import observer_of
 from dz_ros.core.tracking import error_weights
+from dz_ros.core.units import Units
 
 COMMAND_STEPS = 'command steps'
 """Name of the rule."""
@@ -89,26 +90,28 @@ def limit_cycle_bound(c: Configuration, step: float,
 def check_command_steps(c: Configuration, step: float, measured: int) -> Iterator[Finding]:
     """Check the command's step against the layer; nothing where there is none."""
     bounds = limit_cycle_bound(c, step, measured) if step > 0.0 else None
+    behind = Units.of(c.plant).behind
+    rounded = f'v is rounded to steps of {step:g}{behind("v")}'
     if bounds is None:
         if step > 0.0 and c.law.layer_model() is not None:
-            yield Finding(INFO, COMMAND_STEPS, f'v is rounded to steps of {step:g}; with an '
-                          'observer that is not linear nothing is known of its limit cycle',
+            yield Finding(INFO, COMMAND_STEPS, f'{rounded}; with an observer that is not linear '
+                          'nothing is known of its limit cycle',
                           {'step': step})
         return
     *states, s = bounds
     epsilon = 0.0 if c.law.design is None else c.law.design.epsilon
     numbers = {'step': step, 's': s, **{f'x{i}': item for i, item in enumerate(states)}}
     if not math.isfinite(s):
-        yield Finding(INFO, COMMAND_STEPS, f'v is rounded to steps of {step:g}; the loop is not '
-                      'calm for all b m within the bounds, so nothing is known of its limit '
-                      'cycle', numbers)
+        yield Finding(INFO, COMMAND_STEPS, f'{rounded}; the loop is not calm for all b m within '
+                      'the bounds, so nothing is known of its limit cycle', numbers)
         return
-    unit = '' if c.plant.state_units[0] == '1' else f' {c.plant.state_units[0]}'
-    words = (f'v is rounded to steps of {step:g}: a limit cycle between two of them adds at '
-             f'most |x̃1| <= {states[0]:.3g}{unit}, |s| <= {s:.3g}')
+    unit = behind('x^(n-1)')
+    words = (f'{rounded}: a limit cycle between two of them adds at most '
+             f'|x̃1| <= {states[0]:.3g}{behind("x")}, |s| <= {s:.3g}{unit}')
     if epsilon > 0.0 and s > epsilon:
-        yield Finding(WARNING, COMMAND_STEPS, f'{words}, beyond ε = {epsilon:.3g}', numbers,
-                      f'a command in steps of {step * epsilon / s:.2g}, or a wider layer')
+        yield Finding(WARNING, COMMAND_STEPS, f'{words}, beyond ε = {epsilon:.3g}{unit}', numbers,
+                      f'a command in steps of {step * epsilon / s:.2g}{behind("v")}, or a wider '
+                      'layer')
     else:
         share = f', {s / epsilon:.2g} of ε' if epsilon > 0.0 else ''
         yield Finding(INFO, COMMAND_STEPS, words + share, numbers)

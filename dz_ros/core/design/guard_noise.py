@@ -29,6 +29,7 @@ from dz_ros.core.design.observation import (
 )
 from dz_ros.core.observers.base import noise_gain
 from dz_ros.core.tracking import error_weights
+from dz_ros.core.units import Units
 
 LEAST = 4.0
 """Least ε over σ_s."""
@@ -89,7 +90,9 @@ def check_guard(c: Configuration, measured: int, steps: Sequence[float]) -> Iter
         return
     ratio = design.epsilon / sigma
     numbers = {'epsilon': design.epsilon, 'noise': sigma, 'ratio': ratio}
-    words += f'; ε = {design.epsilon:.3g} is {ratio:.2g} times the noise of s, σ_s = {sigma:.3g}'
+    unit = Units.of(c.plant).behind('x^(n-1)')
+    words += (f'; ε = {design.epsilon:.3g}{unit} is {ratio:.2g} times the noise of s, '
+              f'σ_s = {sigma:.3g}{unit}')
     below = [] if ratio >= LEAST else [f'{LEAST:g}']
     in_loop = loop_noise_in_s(c, measured, steps)
     amplified, beta = max(((noise, beta) for beta, noise in in_loop if noise < math.inf),
@@ -97,8 +100,8 @@ def check_guard(c: Configuration, measured: int, steps: Sequence[float]) -> Iter
     if amplified > 0.0:
         share = design.epsilon / amplified
         numbers |= {'loop_noise': amplified, 'loop_ratio': share, 'beta': beta}
-        words += (f', and {share:.2g} times that of the closed loop, {amplified:.3g} at b m = '
-                  f'{beta:.3g}')
+        words += (f', and {share:.2g} times that of the closed loop, {amplified:.3g}{unit} at '
+                  f'b m = {beta:.3g}')
         if share < LEAST_IN_LOOP:
             below.append(f'{LEAST_IN_LOOP:g} in the closed loop')
     words += ''.join(f'; the closed loop is not calm at b m = {beta:.3g}, where noise has no bound'

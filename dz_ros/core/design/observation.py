@@ -26,6 +26,7 @@ from dz_ros.core.laws.robust_eso_gains import OBSERVER_RATE
 from dz_ros.core.observers import Observer, OBSERVERS
 from dz_ros.core.observers.base import noise_gain
 from dz_ros.core.tracking import error_weights
+from dz_ros.core.units import Units
 
 SHARE = 0.75
 """Noise may fill so much of the layer, as a standard deviation."""
@@ -147,7 +148,8 @@ def check_observer(c: Configuration, measured: int,
              f'{passes:.3g} times the noise of x{n - 2}')
     level, change = INFO, ''
     if sigma > 0.0:
-        words += f', {passes * sigma:.3g} of ε = {design.epsilon:.3g}'
+        unit = Units.of(c.plant).behind('x^(n-1)')
+        words += f', {passes * sigma:.3g} of ε = {design.epsilon:.3g}{unit}'
     words += f'; up to {room / passes:.2g} of it leaves the layer room'
     if sigma > 0.0 and passes * sigma > room:
         level = WARNING

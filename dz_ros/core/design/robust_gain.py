@@ -20,6 +20,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.deadzone import rho
 from dz_ros.core.laws.base import Design
 from dz_ros.core.laws.extensions import largest_rest
+from dz_ros.core.units import Units
 
 ROUNDING = 1e-9
 """k* may miss its bound by this share: sums that are meant to be equal."""
@@ -71,6 +72,7 @@ class RobustGain:
         bound: What of the dead-zone k* has to cover, ρ [actuator unit].
         m_min: Least slope m.
         b_min: Least input gain b [unit of x^(n) per actuator unit].
+        units: Those of the plant.
     """
 
     law: str
@@ -78,13 +80,15 @@ class RobustGain:
     bound: float
     m_min: float
     b_min: float
+    units: Units
 
     @classmethod
     def of(cls, c: Configuration) -> RobustGain | None:
         """Return that of a configuration of one axis; None where nothing is known of its law."""
         design, known = c.law.design, c.controller_settings
         return None if design is None else cls(
-            c.law.name, design, dead_zone_bound(c, design), known.m_bounds[0], known.b_bounds[0])
+            c.law.name, design, dead_zone_bound(c, design), known.m_bounds[0], known.b_bounds[0],
+            Units.of(c.plant))
 
     @property
     def least(self) -> float:
@@ -108,23 +112,24 @@ class RobustGain:
     @property
     def term(self) -> str:
         """What k* is compared with, as text."""
-        share = f' + {self.design.reserve:g} of the integral' if self.design.reserve else ''
+        v = self.units.behind('v')
+        share = f' + {self.design.reserve:g}{v} of the integral' if self.design.reserve else ''
         name = 'what the feed-forward leaves, rho' if self.design.guess else 'rho'
-        return f'{name}/m_min{share} = {self.least:.4g}'
+        return f'{name}/m_min{share} = {self.least:.4g}{v}'
 
     @property
     def words(self) -> str:
         """What k* covers, as text."""
-        k = self.design.k
+        k, v = self.design.k, self.units.behind('v')
         inverse = f'{self.law} compensates the dead-zone itself'
         if k <= 0.0:
             return (f'{inverse}, nothing covers a disturbance' if self.design.inverse else
                     f'{self.law} has no robust term: nothing covers the dead-zone, {self.term}')
         if not self.covers():
-            return f'k* = {k:g} does not cover the dead-zone: {self.term}'
-        return ((f'{inverse}, k* = {k:g} covers' if self.design.inverse else
-                 f'k* = {k:g} covers the dead-zone ({self.term}) and')
-                + f' a disturbance of up to {self.room:.4g}')
+            return f'k* = {k:g}{v} does not cover the dead-zone: {self.term}'
+        return ((f'{inverse}, k* = {k:g}{v} covers' if self.design.inverse else
+                 f'k* = {k:g}{v} covers the dead-zone ({self.term}) and')
+                + f' a disturbance of up to {self.room:.4g}{self.units.behind("x^(n)")}')
 
     def leaves_to_integral(self, disturbance: float) -> bool:
         """Return whether an integral inside the layer has to take a part, and can (unproven)."""
@@ -135,8 +140,9 @@ class RobustGain:
         """Return as text what covers the rest of a disturbance [unit of x^(n)]; '' = no rest."""
         if self.covers(disturbance):
             return ''
+        v = self.units.behind('v')
         if self.leaves_to_integral(disturbance):
             return (', of which the integral inside the layer, up to '
-                    f'{self.design.inner_reserve:g}, takes the rest: in simulation, without proof '
-                    f'(k* = {self.with_disturbance(disturbance):.4g} would have one)')
+                    f'{self.design.inner_reserve:g}{v}, takes the rest: in simulation, without '
+                    f'proof (k* = {self.with_disturbance(disturbance):.4g}{v} would have one)')
         return ', more than k* covers'

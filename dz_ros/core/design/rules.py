@@ -9,6 +9,8 @@
 
 An error means that the theorem, or a calm command, is lost for certain; a warning that it may be,
 or is for some plant within the bounds. Theory: mathematics.md §5, §12.
+
+Over 300 lines: a report of rules, each a few lines of text about numbers found elsewhere.
 """
 
 from __future__ import annotations
@@ -39,6 +41,7 @@ from dz_ros.core.design.observation import (
 from dz_ros.core.design.robust_gain import RobustGain
 from dz_ros.core.laws.base import Design, Law
 from dz_ros.core.tracking import guaranteed_bounds
+from dz_ros.core.units import Units
 
 DELAYS = (0, 1, 2)
 """Loop delays for which the margin is stated [samples]; topics take one of the first two."""
@@ -108,7 +111,8 @@ def _robust_gain(c: Configuration, design: Design, disturbance: float) -> Iterat
     full = gain.with_disturbance(disturbance)
     numbers = {'k': design.k, 'rho': gain.bound, 'least': gain.least, 'reserve': design.reserve,
                'disturbance': disturbance, 'least_with_disturbance': full, 'covered': gain.room}
-    along = (f'{gain.words}; along the reference the model has {disturbance:.4g} of it'
+    along = (f'{gain.words}; along the reference the model has {disturbance:.4g}'
+             f'{gain.units.behind("x^(n)")} of it'
              f'{gain.beside(disturbance)}')
     if design.k <= 0.0 and not design.inverse:
         yield Finding(WARNING, '(18)', gain.words, numbers, 'choose another law')
@@ -130,10 +134,10 @@ def _target(c: Configuration, design: Design) -> Iterator[Finding]:
         yield Finding(INFO, 'Ω', f'{c.law.name} promises no set that the error converges to')
         return
     bounds = guaranteed_bounds(design.lambda_, design.target, c.plant.order)
-    parts = (f'|x̃{i}| <= {bound:.4g}' + ('' if unit == '1' else f' {unit}')
-             for i, (bound, unit) in enumerate(zip(bounds, c.plant.state_units, strict=True), 1))
+    behind = Units.of(c.plant).behind
+    parts = (f'|x̃{i + 1}| <= {bound:.4g}{behind(f"x^({i})")}' for i, bound in enumerate(bounds))
     yield Finding(INFO, 'Ω', 'where the theorem holds the error converges to '
-                  f'|s| <= {design.target:.4g}: ' + ', '.join(parts),
+                  f'|s| <= {design.target:.4g}{behind("x^(n-1)")}: ' + ', '.join(parts),
                   {f'x{i}': bound for i, bound in enumerate(bounds)})
 
 
@@ -145,7 +149,7 @@ def _chatter(c: Configuration, design: Design, complaints: bool,
     """
     known, period = c.controller_settings, c.loop.period
     betas = tuple(b * m for b, m in zip(known.b_bounds, known.m_bounds, strict=True))
-    law, model = c.law, c.law.layer_model()
+    law, model, behind = c.law, c.law.layer_model(), Units.of(c.plant).behind
     if model is None:
         return
     for delay in sorted({*DELAYS, c.loop.delay}):
@@ -171,7 +175,8 @@ def _chatter(c: Configuration, design: Design, complaints: bool,
             numbers['smallest_epsilon'] = smallest
             margin = own_margin(law, steepest) if derives_epsilon(law.gains) else None
             if math.isfinite(smallest):
-                words += f'; smallest usable ε {smallest:.3g} with K = {steepest:.4g}'
+                words += (f'; smallest usable ε {smallest:.3g}{behind("x^(n-1)")} with '
+                          f'K = {steepest:.4g}{behind("v/x^(n-1)")}')
                 if margin is not None:
                     numbers['largest_margin'] = margin
                     words += f', controller.margin = {margin:.3g}' if margin <= 1.0 else ''
@@ -276,24 +281,25 @@ def _stability(c: Configuration, design: Design, limit: float | None,
 def _uncovered(c: Configuration, design: Design, sigma: float | None) -> Iterator[Finding]:
     """Return what the theorem does not cover; sigma: σ_s, None = not known."""
     limit = c.plant_settings.command_limit
+    v = Units.of(c.plant).behind('v')
     gaps = ['sampling and loop delay']
     if sigma:
         gaps.append('measurement noise (v shows '
-                    f'{(design.gain + design.lead) * sigma:.3g} of it)')
+                    f'{(design.gain + design.lead) * sigma:.3g}{v} of it)')
     elif sigma is None or any(c.noise):
         gaps.append('measurement noise')
     if limit > 0.0:
-        gaps.append(f'saturation at {limit:g}')
+        gaps.append(f'saturation at {limit:g}{v}')
     if c.plant_settings.backlash > 0.0:
-        gaps.append(f'a play of {c.plant_settings.backlash:g} in the actuator')
+        gaps.append(f'a play of {c.plant_settings.backlash:g}{v} in the actuator')
     if getattr(c.plant.parameters, 'static_friction', 0.0) > 0.0:
         gaps.append('friction that sticks: it depends on the command, as no regressor does')
-    yield Finding(INFO, 'not covered', 'the theorem is of continuous time and does not cover '
-                  + ', '.join(gaps))
+    yield Finding(INFO, 'not covered', 'the theorem is of continuous time and does not cover ' +
+                  ', '.join(gaps))
     known, used = getattr(c.law.gains, 'v_max', None), getattr(c.law.gains, 'anti_windup', True)
     if limit > 0.0 and known is not None and not (used and 0.0 < known <= limit):
-        yield Finding(WARNING, 'saturation', f'the actuator clips at {limit:g}, the law '
-                      + (f'believes {known:g}' if known and used else 'knows no limit')
+        yield Finding(WARNING, 'saturation', f'the actuator clips at {limit:g}{v}, the law '
+                      + (f'believes {known:g}{v}' if known and used else 'knows no limit')
                       + ': estimates and integral may wind up', {'limit': limit, 'v_max': known},
                       f'set controller.v_max to {limit:g}'
                       + ('' if used else ' and controller.anti_windup to true'))

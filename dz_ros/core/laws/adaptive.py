@@ -13,6 +13,7 @@ is proven unless k happens to exceed ρ/m_min + disturbance.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import ClassVar
 
 from dz_ros.core.laws.base import Design, Tunable
@@ -58,7 +59,7 @@ class Adaptive(Wang2004):
     def _k(self) -> float:
         return float(getattr(self.gains, 'k', 0.0))
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need."""
         found = adaptive_design(self.gains, self.order, self._k, self.gains.epsilon)

@@ -15,6 +15,7 @@ exact χ and no disturbance (mathematics.md §14). Gains and bounds are ours.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 from dz_ros.core.design.boundary_layer import layer_gain
@@ -108,7 +109,7 @@ class AdaptiveInverse(Wang2004):
                 *feed_forward_weights(g.lambda_, self.order), g.g_b, g.epsilon_a, g.e0,
                 *g.beta1_bounds, *g.beta2_bounds, *g.beta3_bounds)
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """â, β̂1, β̂2, β̂3 as used in v, which are the whole memory."""
         return (*(Signal(f'a{i}', f'x^(n)/Y{i}', f'a_{i}', Role.ESTIMATE, f'â_{i}')
@@ -117,7 +118,7 @@ class AdaptiveInverse(Wang2004):
                 Signal('beta2', 'x^(n)', 'b m b_r', Role.ESTIMATE, 'β̂_2'),
                 Signal('beta3', 'x^(n)', 'b m b_l', Role.ESTIMATE, 'β̂_3'))
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need; all slopes are divided by β̂1(0)."""
         g = self.gains

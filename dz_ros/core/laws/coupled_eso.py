@@ -37,6 +37,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 import math
 from typing import Any, ClassVar
 
@@ -187,7 +188,7 @@ class CoupledEso(Law):
                 *start_row(g.start_rate, n), *start_matrix(g.start_rate, n, self.period),
                 *self._box, *inertia[0].tolist(), *np.linalg.inv(inertia).ravel().tolist())
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """θ̂ as used in v; σ̂, w, η … after the step; the memory before."""
         used = tuple(replace(theta(i + 1), unit=f'v/W{i + 1}', meaning=f'weight {i + 1} over b m')
@@ -198,7 +199,7 @@ class CoupledEso(Law):
                      for i in range(self.regressor_count))
         return (*used, *_STEP, *shift, *before((*used, *_MEMORY, *shift, *last)))
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need of the own axis, the others at rest."""
         g = self.gains

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 import math
 from typing import Any, ClassVar
 
@@ -49,7 +50,7 @@ class DisturbanceObserver(Nominal):
         """Place of p."""
         return (1,)
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """The memory: begun, p."""
         return (Signal('started', '1', '1 after the first sample'),

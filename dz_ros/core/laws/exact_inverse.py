@@ -13,6 +13,7 @@ v jumps by b_r − b_l where v_d changes sign.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 from dz_ros.core.laws.adaptive import Adaptive, SwitchingGains
@@ -46,7 +47,7 @@ class ExactInverse(Adaptive):
         """k_d, k, ε, γ, η, Λ, Λ_v, b_r, b_l."""
         return (*super().constants, self.gains.b_r, self.gains.b_l)
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need: k need not cover the dead-zone."""
         return replace(super().design, inverse=True)

@@ -18,6 +18,7 @@ memory as it is. What is proven: mathematics.md §6, §14.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 from dz_ros.core.design.boundary_layer import automatic_epsilon, layer_gain
@@ -132,13 +133,13 @@ class Extended(ProjectedLaw):
                 g.b_r_guess if g.dead_zone_feed_forward else 0.0,
                 g.b_l_guess if g.dead_zone_feed_forward else 0.0, g.e0, *self._box)
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """θ̂, φ̂ as used in v, v_I after its update; then the memory before the step."""
         used = estimates(self.regressor_count)
         return (*used, INTEGRAL, *before((*used, *_MEMORY, *last_regressors(len(used) - 1))))
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need."""
         g = self.gains

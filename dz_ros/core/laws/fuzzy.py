@@ -13,6 +13,7 @@ Any order n in this form (ours), rebuilt from descriptions, not transcribed. The
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -54,7 +55,7 @@ class Fuzzy(Adaptive):
         g = self.gains
         return (*super().constants, g.fuzzy_overlap, g.fuzzy_gain, g.fuzzy_leakage)
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """θ̂, φ̂, d̂₊, d̂₋ as used in v, which are the whole memory."""
         return (*super().signals, Signal('d_plus', 'v', 'break point right', Role.ESTIMATE, 'd̂_+'),
@@ -64,7 +65,7 @@ class Fuzzy(Adaptive):
         """θ̂(0), φ̂(0), d̂± = 0."""
         return (*super().initial_memory(), 0.0, 0.0)
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need: k need not cover the dead-zone."""
         return replace(super().design, inverse=True, target=0.0)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 import math
 from typing import Any, ClassVar
 
@@ -53,7 +54,7 @@ class L1(Nominal):
         """Places of ŝ, w."""
         return (1, 2)
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """The memory: begun, ŝ, w."""
         return (Signal('started', '1', '1 after the first sample'),

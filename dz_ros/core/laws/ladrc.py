@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 import math
 from typing import Any, ClassVar
 
@@ -76,7 +77,7 @@ class Ladrc(Nominal):
                 *feed_forward_weights(g.lambda_, n), *(0.0,) * self.regressor_count,
                 g.v_clip, *self.own)
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """The memory: begun, ê, f̂, f̂', v⁻."""
         return (Signal('started', '1', '1 after the first sample'),
@@ -85,7 +86,7 @@ class Ladrc(Nominal):
                 Signal('f_dot', 'x^(n)/s', 'its rate', symbol="f̂'"),
                 Signal('v_last', 'v', 'command before', symbol='v⁻'))
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need: no robust term, no layer."""
         g = self.gains

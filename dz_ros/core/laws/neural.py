@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 import math
 import random
 from typing import Any, ClassVar
@@ -118,7 +118,7 @@ class Neural(Adaptive):
         return (*super().constants, g.neural_gain, g.estimator_gain, g.neural_leakage,
                 g.norm_leakage, *self._compensator, *self._estimator)
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """θ̂, φ̂, Ŵ_i, Ŵ as used in v, which are the whole memory."""
         nodes = self.gains.nodes
@@ -131,7 +131,7 @@ class Neural(Adaptive):
         """θ̂(0), φ̂(0), Ŵ_i = 0, the fitted Ŵ."""
         return (*super().initial_memory(), *(0.0,) * (self.gains.nodes + _JUMPS), *self._weights)
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need: k need not cover the dead-zone."""
         return replace(super().design, inverse=True, target=0.0)

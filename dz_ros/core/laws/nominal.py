@@ -13,6 +13,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -120,7 +121,7 @@ class Nominal(Law):
         return (g.k_d, g.phi_0, *error_weights(g.lambda_, n),
                 *feed_forward_weights(g.lambda_, n), *self._theta, g.v_clip, *self.own)
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need: no robust term, no layer."""
         g = self.gains
@@ -143,14 +144,15 @@ class Nominal(Law):
             law = type(self)(replace(self.gains, k_d=gain - own), self.order,
                              self.regressor_count, self.period)
             return law.layer_model()
-        n, places, constants = self.order, self.moving, self.constants
+        n, places = self.order, self.moving
+        constants, width = self._step_numbers
         y = (0.0,) * self.regressor_count
 
-        def step(memory: Sequence[float], x: Sequence[float]) -> np.ndarray[Any, Any]:
+        def step(memory: Sequence[float], x: Sequence[float]) -> list[float]:
             after = [0.0] * len(memory)
-            terms = [0.0] * (STATUS + 1 + len(self.signals))
-            v = self.kernel(constants, memory, (0.0,) * (n + 1), x, y, self.period, after, terms)
-            return np.array([v, *(after[place] for place in places)])
+            v = self.kernel(constants, memory, (0.0,) * (n + 1), x, y, self.period, after,
+                            [0.0] * width)
+            return [v, *(after[place] for place in places)]
 
         rest = list(self.initial_memory())
         rest[0] = 1.0
@@ -164,6 +166,7 @@ class Nominal(Law):
                 else:
                     memory[place] += side * PROBE
                 ends.append(step(memory, x))
-            columns.append((ends[0] - ends[1]) / (2.0 * PROBE))
+            columns.append([(right - left) / (2.0 * PROBE)
+                            for right, left in zip(*ends, strict=True)])
         table, p = np.array(columns).T, len(places)
         return LayerModel(places, table[1:, :p], table[1:, p:], table[0, :p], table[0, p:])

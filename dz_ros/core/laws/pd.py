@@ -15,6 +15,7 @@ its width over k_d λ.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 from dz_ros.core.laws.base import Design, Law, Numbers, Tunable
@@ -49,7 +50,7 @@ class Pd(Law):
         g = self.gains
         return (g.k_d, 1.0 if g.feed_forward else 0.0, *error_weights(g.lambda_, self.order))
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need: no layer, no robust term."""
         return Design(self.gains.lambda_, self.gains.k_d, 0.0, 0.0, self.gains.k_d, 0.0)

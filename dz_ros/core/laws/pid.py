@@ -13,6 +13,7 @@ rest it may hunt. No anti-windup: I runs on while the actuator saturates.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -50,12 +51,12 @@ class Pid(Law):
         """k_d, weights of I, x̃, …, x̃^(n−1)."""
         return (self.gains.k_d, *error_weights(self.gains.lambda_, self.order + 1))
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """I as used in v."""
         return (INTEGRAL,)
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need: no layer, no robust term."""
         return Design(self.gains.lambda_, self.gains.k_d, 0.0, 0.0, self.gains.k_d, 0.0)

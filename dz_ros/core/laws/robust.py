@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, ClassVar
 
 from dz_ros.core.design.boundary_layer import chatter_limit
@@ -190,14 +191,14 @@ class Robust(ProjectedLaw):
                 *error_weights(g.lambda_, self.order),
                 *feed_forward_weights(g.lambda_, self.order), *self._box)
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """θ̂, φ̂ as used in v; v_I, κ_f after the step; K, ε, w of it; then the memory before."""
         used = estimates(self.regressor_count)
         return (*used, *_STEP,
                 *before((*used, *_MEMORY, *last_regressors(self.regressor_count))))
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need, with κ_f = 1."""
         g = self.gains

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 import math
 from typing import Any, ClassVar
 
@@ -261,7 +262,7 @@ class RobustEso(Robust):
                 *start_row(g.start_rate, n), *start_matrix(g.start_rate, n, self.period),
                 *self._box)
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """θ̂, φ̂ as used in v; κ_f, σ̂, η … after the step; K, ε, w of it; the memory before."""
         used = estimates(self.regressor_count)

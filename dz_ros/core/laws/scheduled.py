@@ -21,6 +21,7 @@ loop steeper about v_d = 0.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -87,7 +88,7 @@ class Scheduled(RobustEso):
                 *g.table_points, *(number for name in NAMES
                                    for number in getattr(g, f'{name}_known')))
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """Those of `robust_eso`, ψ last."""
         return (*super().signals, *before((PSI,)))

@@ -13,6 +13,7 @@ s(0) is larger than in `sliding`. The value k is made for the disturbance alone 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -42,12 +43,12 @@ class SlidingIntegral(Adaptive):
         return (g.k_d, self._k, g.epsilon, g.gamma, g.eta, *weights[1:], *weights[:-1],
                 weights[0])
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """θ̂, φ̂, I as used in v, which are the whole memory."""
         return (*super().signals, INTEGRAL)
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need: u_fd weighs x^(n−1) by n λ; Ω_ε is of another surface."""
         lead = self.order * self.gains.lambda_ * self.gains.phi_0

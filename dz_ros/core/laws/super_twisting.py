@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 import math
 from typing import Any, ClassVar
 
@@ -68,14 +69,14 @@ class SuperTwisting(Nominal):
         """Place of w; α does not move v at s = 0."""
         return (2,)
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need: the slope at s = 0."""
         found = super().design
         return replace(found, gain=found.gain + self.gains.alpha_0
                        / math.sqrt(self.gains.epsilon))
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """The memory: begun, α, w."""
         return (Signal('started', '1', '1 after the first sample'),

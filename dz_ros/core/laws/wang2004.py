@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 from dz_ros.core.design.boundary_layer import layer_gain
@@ -152,7 +153,7 @@ class Wang2004(Law):
                 *error_weights(g.lambda_, self.order),
                 *feed_forward_weights(g.lambda_, self.order))
 
-    @property
+    @cached_property
     def signals(self) -> tuple[Signal, ...]:
         """θ̂ and φ̂ as used in v, which are the whole memory."""
         return estimates(self.regressor_count)
@@ -161,7 +162,7 @@ class Wang2004(Law):
         """θ̂(0), φ̂(0)."""
         return (*self._theta_0, self.gains.phi_0)
 
-    @property
+    @cached_property
     def design(self) -> Design:
         """What the design rules need."""
         return adaptive_design(self.gains, self.order, self.gains.k_star, self.gains.epsilon)

@@ -21,7 +21,7 @@ from typing import Any, cast
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.loop.code_store import CodeStore, StoredCode, UnnamedError
-from dz_ros.core.loop.offline import Loop, make_loop, Run, simulate
+from dz_ros.core.loop.offline import Loop, make_loop, prepare, Run
 from dz_ros.core.loop.scalar_compiler import compilers
 from dz_ros.errors import MissingDependencyError
 
@@ -170,4 +170,10 @@ def compiled_loop(configuration: Configuration) -> Loop:
 def simulate_fast(configuration: Configuration,
                   memory: Sequence[float] | None = None) -> Run:
     """Return `simulate`'s run, compiled where numba is installed, in plain Python elsewhere."""
-    return simulate(configuration, compiled_loop(configuration) if available() else None, memory)
+    return prepare_fast(configuration, memory)()
+
+
+def prepare_fast(configuration: Configuration,
+                 memory: Sequence[float] | None = None) -> Callable[[], Run]:
+    """Return the function that runs `simulate_fast`, once; what is small is made already."""
+    return prepare(configuration, compiled_loop(configuration) if available() else None, memory)

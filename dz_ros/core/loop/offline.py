@@ -184,6 +184,21 @@ def simulate(configuration: Configuration, loop: Loop | None = None,
         OverflowError, ValueError: The loop diverged beyond what its functions can evaluate. One
             that ends in infinities or NaN without that is returned as it is.
     """
+    return prepare(configuration, loop, memory)()
+
+
+def prepare(configuration: Configuration, loop: Loop | None = None,
+            memory: Sequence[float] | None = None) -> Callable[[], Run]:
+    """Return the function that runs `simulate`, once; what is small is made already.
+
+    Args:
+        configuration: As of `simulate`.
+        loop: As of `simulate`.
+        memory: As of `simulate`.
+
+    Raises:
+        ConfigurationError: It is of several axes.
+    """
     c = configuration
     c.require_one()
     count = c.loop.samples + 1
@@ -196,20 +211,25 @@ def simulate(configuration: Configuration, loop: Loop | None = None,
     numbers = (c.quanta, times, c.plant.constants, c.zone_numbers, c.trajectory.constants,
                c.law.constants, c.x0, np.zeros(r), np.zeros(n + 1), memory, np.zeros(len(memory)),
                np.zeros(width), *np.zeros((5, n)), np.zeros(MEMORY))
-    arguments: list[Any] = [*(np.array(item, dtype=float) for item in numbers),
-                            measurement_noise(c, count).ravel(),
-                            *(np.empty(count * (item or 1)) for item in columns)]
-    if loop is None:
-        loop = make_loop(c)
-        arguments = [item.tolist() for item in arguments]
     known = c.controller_settings
-    loop(c.loop.samples, c.loop.period, c.plant_settings.substeps, c.loop.delay,
-         c.plant_settings.command_limit, *c.pulse_samples, *_seen(c), known.error_band,
-         known.regressors_at == 'reference', c.law.schedule_place, *arguments)
-    arrays: list[Array] = [np.arange(count, dtype=np.float64) * c.loop.period]
-    for item, wide in zip(arguments[-len(columns):], columns, strict=True):
-        array = np.asarray(item, dtype=float)
-        arrays.append(array if wide is None else array.reshape(count, wide))
-    for array in arrays:
-        array.flags.writeable = False
-    return Run(c, *arrays)
+    small = (c.loop.samples, c.loop.period, c.plant_settings.substeps, c.loop.delay,
+             c.plant_settings.command_limit, *c.pulse_samples, *_seen(c), known.error_band,
+             known.regressors_at == 'reference', c.law.schedule_place,
+             *(np.array(item, dtype=float) for item in numbers))
+
+    def run() -> Run:
+        arguments: list[Any] = [*small, measurement_noise(c, count).ravel(),
+                                *(np.empty(count * (item or 1)) for item in columns)]
+        if loop is None:
+            arguments = [item.tolist() if isinstance(item, np.ndarray) else item
+                         for item in arguments]
+        (make_loop(c) if loop is None else loop)(*arguments)
+        arrays: list[Array] = [np.arange(count, dtype=np.float64) * c.loop.period]
+        for item, wide in zip(arguments[-len(columns):], columns, strict=True):
+            array = np.asarray(item, dtype=float)
+            arrays.append(array if wide is None else array.reshape(count, wide))
+        for array in arrays:
+            array.flags.writeable = False
+        return Run(c, *arrays)
+
+    return run
