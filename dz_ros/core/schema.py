@@ -132,7 +132,8 @@ def _convert(kind: str, value: Any) -> Any:
     elif kind == 'str':
         if isinstance(value, str):
             return value
-    elif not isinstance(value, (str, bytes, Mapping)) and isinstance(value, Iterable):
+    elif type(value) in (list, tuple) or (
+            not isinstance(value, (str, bytes, Mapping)) and isinstance(value, Iterable)):
         return tuple(_convert('float' if kind == 'floats' else 'str', item) for item in value)
     raise TypeError(kind)
 

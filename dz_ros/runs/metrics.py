@@ -223,7 +223,7 @@ def measure(rows: RunTable, setting: Setting, *, window: tuple[float, float] | N
         raise ConfigurationError('tolerance', tolerance, 'must be > 0, in the unit of x')
     begin, end = choose_window(rows.t, window)
     inside = _span((rows.t >= begin - 1e-9) & (rows.t <= end + 1e-9))
-    errors = [rows.x[:, i] - rows.x_d[:, i] for i in range(rows.x.shape[1])]
+    errors = [np.abs(rows.x[:, i] - rows.x_d[:, i]) for i in range(rows.x.shape[1])]
     t, v, error = rows.t[inside], rows.v[inside], [item[inside] for item in errors]
     windowed = replace(rows, t=t, x=rows.x[inside], x_d=rows.x_d[inside], terms={
         name: rows.terms[name][inside] for name in ('s', 'epsilon', 'status')
@@ -252,13 +252,13 @@ def _span(mask: NDArray[np.bool_]) -> slice | NDArray[np.bool_]:
 
 
 def _omega_share(error: Sequence[Array], epsilon: Array, setting: Setting) -> float | None:
-    """Return the share of samples with every |x̃_i|, each of shape (N,), within Ω_ε."""
+    """Return the share of samples with every |x̃_i|, `error`, each of shape (N,), within Ω_ε."""
     if setting.lambda_ is None:
         return None
     bounds = guaranteed_bounds(setting.lambda_, 1.0, len(error))
     within, known = np.ones(len(epsilon), dtype=bool), epsilon
     for item, scale in zip(error, bounds, strict=True):
-        within &= np.abs(item) <= scale * epsilon
+        within &= item <= scale * epsilon
         known = known + item
     return share(known, within)
 
@@ -266,13 +266,15 @@ def _omega_share(error: Sequence[Array], epsilon: Array, setting: Setting) -> fl
 def _highpass_rms(rows: RunTable, setting: Setting,
                   inside: slice | NDArray[np.bool_]) -> float | None:
     """Return the RMS of high-passed v in the window, missing commands interpolated over."""
-    known = np.isfinite(rows.v)
-    if setting.period is None or not known.any():
+    if setting.period is None:
         return None
-    if (known.all() and np.array_equal(rows.t, np.arange(len(rows.t)) * setting.period)
-            and np.abs(rows.v).max() < LARGE):      # every sample at its place
-        rest = high_passed(rows.v, 1.0 / setting.period)
+    if (np.abs(rows.v).max() < LARGE        # of NaN and infinity as well it is not
+            and np.array_equal(rows.t, np.arange(len(rows.t)) * setting.period)):
+        rest = high_passed(rows.v, 1.0 / setting.period)    # every sample at its place
         return None if rest is None else rms(rest[inside])
+    known = np.isfinite(rows.v)
+    if not known.any():
+        return None
     place = np.rint((rows.t - rows.t[0]) / setting.period)
     if place[-1] > 4 * len(place):
         return None

@@ -249,11 +249,13 @@ def _radii(model: LayerModel, period: float, delay: int,
     def radii(betas: Array) -> Array:
         with np.errstate(over='ignore', invalid='ignore'):
             matrices = _matrices(parts, betas, delay)
-        known = np.isfinite(matrices)
-        if known.all():
+        try:
             return np.asarray(np.abs(np.linalg.eigvals(matrices)).max(axis=1))
-        found = np.full(len(betas), math.inf)       # gains near the largest number
-        whole = known.all(axis=(1, 2))
+        except np.linalg.LinAlgError:       # not finite: gains near the largest number
+            whole = np.isfinite(matrices).all(axis=(1, 2))
+            if whole.all():
+                raise
+        found = np.full(len(betas), math.inf)
         if whole.any():
             found[whole] = np.abs(np.linalg.eigvals(matrices[whole])).max(axis=1)
         return found
@@ -297,10 +299,11 @@ def _largest(radii: Callable[[Array], Array], unit: float) -> float:
         if guess is None or not below < guess < above:
             break
         end, step = _halved(below, above, guess.__gt__)
-        tried = [end + i * step for i in (-1.0, 0.0, 1.0, 2.0)]
-        tried += [guess * (1.0 - reach), guess * (1.0 + reach)] if reach > 1e-12 else []
+        first = reach > 1e-4        # too early to be where bisections end
+        ends = [guess] if first else [end + i * step for i in (-1.0, 0.0, 1.0, 2.0)]
+        tried = ends + ([guess * (1.0 - reach), guess * (1.0 + reach)] if reach > 1e-12 else [])
         calm = radii(np.array(tried)).tolist()
-        for value, radius, after in zip(tried[:3], calm, calm[1:4], strict=False):
+        for value, radius, after in zip(ends[:-1], calm, calm[1:], strict=False):
             if radius < 1.0 <= after:
                 return _halved(below, above, value.__ge__)[0]
         pairs = sorted(zip(tried, calm, strict=True))
