@@ -34,7 +34,7 @@ test:  ## all tests, by TEST_JOBS (3) workers, in an hour on two cores
 	$(environment) ros test numba
 	$(bin)/python -m pytest -n $(TEST_JOBS) --dist loadgroup --durations=40 --durations-min=3 $(PYTEST_ARGS)
 
-test-quick:  ## in five minutes on two cores: what needs no ROS process, no browser and no long computing
+test-quick:  ## in four minutes on two cores: what needs no ROS process, no browser and no long computing
 	$(environment) ros test numba
 	$(bin)/python -m pytest -n $(QUICK_JOBS) --dist loadgroup -m 'not ros and not live and not slow' \
 	  --hypothesis-profile=quick $(PYTEST_ARGS)

@@ -77,6 +77,7 @@ def layouts(c):
     return module.layouts(c)
 
 
+@pytest.mark.slow
 def test_a_signal_with_a_unit_is_seen_wherever_signals_are_shown(law, capsys):
     c = Configuration.from_flat(FLAT)
     run = simulate(c)
@@ -143,6 +144,7 @@ for name in ('robust', 'wang2004'):
 '''
 
 
+@pytest.mark.slow
 def test_a_field_of_terms_needs_its_declaration_and_a_kernel(law, capfd):
     done = subprocess.run([sys.executable, '-c', WITH_ANOTHER_TERM, ROOT, law, json.dumps(FLAT)],
                           cwd=law, capture_output=True, text=True, timeout=300, check=False,

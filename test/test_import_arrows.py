@@ -177,6 +177,7 @@ def test_core_opens_no_file():
         assert not {'open', 'print', 'input'} & set(calls), path
 
 
+@pytest.mark.slow
 def test_a_file_of_over_300_lines_states_why():
     silent, tree = [], ROOT.parent
     for path in (*FILES, *(path for folder in ('test', 'benchmarks')

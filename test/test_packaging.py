@@ -126,6 +126,7 @@ def test_manifest_is_one_that_ros_recognises(manifest):
     assert order[:6] == ['name', 'version', 'description', 'maintainer', 'license', 'author']
 
 
+@pytest.mark.slow
 def test_what_the_code_imports_is_declared_for_pip_and_for_rosdep(manifest, described):
     used = set()
     for path in (ROOT / 'dz_ros').rglob('*.py'):

@@ -40,6 +40,7 @@ def test_there_are_tutorials():
     assert {path.stem for path in TUTORIALS} == known
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('path', TUTORIALS, ids=lambda path: path.stem)
 def test_the_commands_of_a_tutorial(path, tmp_path, ros_domain):
     assert os.environ['ROS_DOMAIN_ID'] == str(ros_domain)    # dz driver check has a node as well

@@ -119,7 +119,8 @@ def _help(path: tuple[str, ...]) -> str:
 def messages() -> Iterator[str]:
     """Yield the page of topics and the fields of their messages."""
     yield '# Topics and fields\n'
-    yield 'Guarantees, rates and who waits for whom: [Topics](../topics.md).\n'
+    yield ('Guarantees, rates, who waits for whom, and what is not recorded (`estop`, '
+           '`/diagnostics`, `pace`, services `~/estop`, `~/reset`): [Topics](../topics.md).\n')
     yield from _table(('topic', 'type', 'reliability', 'durability', 'carries'), [
         (f'`{item.name}`', item.type.name, item.qos.reliability, item.qos.durability,
          item.description) for item in CHANNELS.values()])

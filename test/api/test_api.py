@@ -184,6 +184,7 @@ def test_a_comparison_names_what_differs():
         dz.compare(runs[0], 3)
 
 
+@pytest.mark.slow
 def test_the_rules_report_what_they_find():
     assert dz.check('wang2004').worst == 'info'
     found = dz.check('wang2004', {'controller.k_star': 0.1})
@@ -222,6 +223,7 @@ def test_of_several_axes_a_key_without_axis_changes_all_and_one_is_chosen():
     assert dz.simulate(machine.axis('b'), SHORT).configuration.law.gains.lambda_ == 2.0
 
 
+@pytest.mark.slow
 def test_recordings_of_several_axes_are_compared_axis_by_axis(tmp_path):
     for name, delay in (('a', 0), ('b', 1)):
         c = dz.load('rov_planar', {'loop.duration': 0.5, 'loop.delay': delay})
@@ -352,6 +354,7 @@ def test_a_small_sweep_needs_no_processes_and_has_the_same_rows(monkeypatch):
     assert jobs == [1, 0]
 
 
+@pytest.mark.slow
 def test_another_plant_in_a_sweep_refuses_lists_that_do_not_fit():
     rows = dz.sweep(dz.load('wang2004', SHORT), {'plant.model': ['pendulum', 'valve_actuator']})
     assert rows[0]['lost'] == 0
@@ -381,6 +384,7 @@ def test_systems_that_are_no_such_plant_are_refused(rates, words):
         dz.from_control(system)
 
 
+@pytest.mark.slow
 def test_a_script_that_sweeps_without_a_guard_is_refused_with_the_cure(tmp_path):
     script = tmp_path / 'script.py'
     script.write_text(f"""
@@ -394,6 +398,7 @@ dz.sweep(dz.load('wang2004', {SHORT!r}), {{'controller.lambda': [1, 2, 4]}}, job
     assert "which needs if __name__ == '__main__' or jobs=1" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_first_example_of_the_page_is_a_script(tmp_path):
     page = (Path(__file__).parents[2] / 'docs' / 'python.md').read_text(encoding='utf-8')
     script = tmp_path / 'script.py'

@@ -240,6 +240,7 @@ def vehicle(tmp_path_factory):
     return str(path)
 
 
+@pytest.mark.slow
 def test_axes_side_by_side_have_each_its_own_numbers(vehicle, capsys, tmp_path):
     """The tolerance of settling is in the unit of an axis: it is not that of the first one."""
     run, out = read_run(vehicle), tmp_path / 'out'
@@ -338,6 +339,7 @@ def test_a_recording_that_states_no_axes_rightly_is_one_line(capsys, tmp_path, a
         assert error.count('\n') == 1
 
 
+@pytest.mark.slow
 def test_a_summary_replaces_the_report_of_one_axis(recorded, tmp_path):
     out = tmp_path / 'out'
     assert main(['report', recorded, '--axis', 'yaw', '--out', str(out)]) == 0
@@ -424,6 +426,7 @@ def test_runs_with_other_axes_are_not_compared(recorded, config, capsys, tmp_pat
     assert main(['bag', 'compare', three, recorded, '--axis', 'yaw', '--json']) == 0
 
 
+@pytest.mark.slow
 def test_a_report_has_a_summary_and_a_page_for_each_axis(recorded, capsys, tmp_path):
     out = tmp_path / 'report'
     assert main(['report', recorded, '--out', str(out)]) == 0
@@ -453,6 +456,7 @@ def test_whatif_and_other_verbs_of_one_axis_ask_for_it(recorded, config, capsys,
     assert 'axes:' not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ['two', 'rov_planar'])
 def test_whatif_without_an_axis_is_of_all_of_them(config, capsys, tmp_path, name):
     run, made, out = (str(tmp_path / item) for item in ('run', 'made', 'out'))
@@ -507,6 +511,7 @@ def test_whatif_of_an_axis_that_others_depend_on_simulates_all(capsys, tmp_path)
         assert error.count('\n') == 1
 
 
+@pytest.mark.slow
 def test_whatif_takes_what_ran_from_a_file_for_all_axes(recorded, config, capsys, tmp_path):
     assert main(['bag', 'whatif', recorded, '--config', config, '--set', 'loop.duration=0.5',
                  '--out', str(tmp_path / 'out'), '--record', str(tmp_path / 'made')]) == 0
@@ -522,6 +527,7 @@ def test_whatif_takes_what_ran_from_a_file_for_all_axes(recorded, config, capsys
         assert wanted in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_whatif_of_one_axis_needs_no_other_of_the_file_and_keeps_its_noise(capsys, tmp_path):
     """But where plant or law couple the axes: then all are needed."""
     own, both, run = (str(tmp_path / item) for item in ('own.yaml', 'both.yaml', 'run'))
@@ -541,6 +547,7 @@ def test_whatif_of_one_axis_needs_no_other_of_the_file_and_keeps_its_noise(capsy
     assert 'is of axes yaw, roll, and lacks axis surge of the run' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_whatif_of_an_axis_that_the_change_couples_does_not_hold_the_others(recorded, capsys,
                                                                             tmp_path):
     words = ['bag', 'whatif', recorded, '--out', str(tmp_path / 'out')]

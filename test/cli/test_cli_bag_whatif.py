@@ -46,11 +46,13 @@ def test_answer_is_a_run_and_a_comparison(runs, tmp_path, capsys):
     assert before == {path: path.read_bytes() for path in made.iterdir()}
 
 
+@pytest.mark.slow
 def test_default_place_is_beside_the_run(runs, capsys):
     assert main(['bag', 'whatif', str(runs / 'a'), '--set', 'controller.law=pd']) == 0
     assert f'comparison: {runs / "a-whatif" / "comparison.html"}' in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_real_hardware(runs, tmp_path, capsys):
     real = str(runs / 'real')
     assert main(['bag', 'whatif', real, '--set', 'loop.delay=1']) == 2
@@ -83,6 +85,7 @@ def test_mistakes_are_one_line(runs, capsys, words):
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_compare(runs, tmp_path, capsys):
     other = tmp_path / 'b'
     assert main(['simulate', 'wang2004', '--duration', '3', '--set', 'loop.delay=1', '--record',

@@ -28,6 +28,7 @@ def test_json_has_the_error_bound_as_a_list_over_the_state(capsys):
     assert found['error_bound'] == found['delays'][0]['error_bound']
 
 
+@pytest.mark.slow
 def test_loop_that_is_not_certified_names_inequality_and_gain(capsys):
     assert main(['certify', 'wang2004', *SHORT]) == 1
     text = capsys.readouterr().out
@@ -36,6 +37,7 @@ def test_loop_that_is_not_certified_names_inequality_and_gain(capsys):
     assert 'controller.k_star = ' in text
 
 
+@pytest.mark.slow
 def test_picture_is_written_once(tmp_path, capsys):
     path = tmp_path / 'bound.png'
     assert main(['certify', 'robust_eso', '--picture', str(path), *SHORT]) == 0

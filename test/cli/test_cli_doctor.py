@@ -10,6 +10,7 @@ from dz_ros.cli.main import main
 from dz_ros.runtime.privileges import usable_cores
 
 
+@pytest.mark.slow
 def test_the_doctor_measures_what_is_permitted(capsys):
     assert main(['doctor', '--seconds', '0.1', '--json']) == 0
     found = json.loads(capsys.readouterr().out)

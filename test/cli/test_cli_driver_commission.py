@@ -310,6 +310,7 @@ def test_ctrl_c_during_a_move_leaves_the_device_safe_and_names_how_to_go_on(tmp_
     del sys.modules['interrupted_device']
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('step', 'function'), [('identify', 'commission_moves.identify'),
                                                 ('propose', 'commission_loop.propose')])
 def test_ctrl_c_while_it_computes_names_how_to_go_on(tmp_path, monkeypatch, capsys, step,

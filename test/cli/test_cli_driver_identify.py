@@ -244,6 +244,7 @@ def test_a_signal_ends_a_check_with_the_safe_command(monkeypatch, capsys, device
     assert device.commanded[100:] == [('safe', 0.0), 'disabled']
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('function', 'kept'), [
     ('identify', 'the moves are kept in {out}/run; dz driver identify --from {out}/run goes on'),
     ('propose', 'the moves are kept in {out}/run; dz driver identify --from {out}/run goes on')])

@@ -74,6 +74,7 @@ def of_session(leader):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('imported', 'delay', 'group'), [
     ('dz_ros.runtime.import_path', 0.0, True), ('argparse', 0.0, False), ('numpy', 0.0, True),
     ('dz_ros.core.laws', 0.5, True), ('dz_ros.core.laws', 2.0, False)])
@@ -183,6 +184,7 @@ def test_a_sweep_on_a_cluster_ends_at_once_and_leaves_the_cluster_usable(rows, c
     assert (tmp_path / 'b.csv').read_text().count('\n') == 2 + 4
 
 
+@pytest.mark.slow
 def test_a_sweep_names_what_is_kept(tmp_path):
     process = start([*LONG['sweep'], '--duration', '5'], tmp_path, NUMBA_DISABLE_JIT='1')
     sizes = set()       # of the file: its head, then a batch of rows each, counted before the next

@@ -25,6 +25,7 @@ def numbers(text):
     return dict(re.findall(r'^  (.+?)  +([-\d.e]+)', text, re.MULTILINE))
 
 
+@pytest.mark.slow
 def test_report_lies_beside_the_run_and_shows_five_numbers(recorded, capsys):
     before = sorted((path.name, path.read_bytes()) for path in recorded.iterdir())
     assert main(['report', str(recorded)]) == 0
@@ -47,6 +48,7 @@ def test_report_lies_beside_the_run_and_shows_five_numbers(recorded, capsys):
     assert found['periods within 1 ms of 5 ms'] == '-'    # offline there is no timing
 
 
+@pytest.mark.slow
 def test_json_is_for_programs_and_writes_nothing(recorded, tmp_path, capsys):
     assert main(['report', str(recorded), '--json', '--window', '1', '2']) == 0
     out, err = capsys.readouterr()
@@ -76,6 +78,7 @@ def test_a_second_run_replaces_the_simulated_one(recorded, tmp_path, capsys):
     assert not (tmp_path / 'b' / 'error_without.png').exists()    # it has no dead-zone itself
 
 
+@pytest.mark.slow
 def test_where_the_loop_without_dead_zone_diverges_the_rest_is_reported(
         recorded, tmp_path, capsys, monkeypatch):
     def diverge(view):
@@ -105,6 +108,7 @@ def test_mistakes_are_one_line_and_leave_nothing(words, recorded, tmp_path, caps
     assert [path.name for path in tmp_path.iterdir()] == ['a file']
 
 
+@pytest.mark.slow
 def test_a_run_that_was_cut_off_is_reported(recorded, tmp_path, capsys):
     (source,) = recorded.glob('*.mcap')
     part = tmp_path / 'part.mcap'

@@ -61,6 +61,7 @@ def test_a_key_that_no_class_has_is_still_refused(example, capsys):
     assert 'controller.nonsense' in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_simulate_whatif_and_sweep_take_another_law(example, tmp_path, capsys):
     run = tmp_path / 'run'
     assert main(['simulate', str(example), '--duration', '2', '--record', str(run)]) == 0

@@ -244,6 +244,7 @@ def test_picture_has_a_line_for_each_bound(example):
         assert bound.get_ydata()[0] == item.error_bound[0]
 
 
+@pytest.mark.slow
 def test_an_axis_of_a_coupled_plant_reports_that_the_others_rest():
     found = certify(load_configuration('rov_planar').axis('yaw'), delays=(0,))
     assert any('other axes of the plant rest' in sentence for sentence in found.assumed)

@@ -94,6 +94,7 @@ def test_refuses_a_list_of_texts(value):
     assert 'must be a list of texts' in refused({'names': value})
 
 
+@pytest.mark.slow
 @given(st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(),
                  st.lists(st.floats()), st.dictionaries(st.text(), st.integers())),
        st.sampled_from([item.name for item in schema.fields(Group)]))

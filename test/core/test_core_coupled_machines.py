@@ -22,6 +22,7 @@ def errors(name, *changes):
             for axis, run in runs.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('name', 'changes', 'allowed'), [
     ('two_link_arm', (), 0.0015), ('two_link_arm', ('loop.delay=1',), 0.002),
     ('rov_planar', ('loop.delay=1',), 0.0005),

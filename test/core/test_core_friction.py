@@ -160,6 +160,7 @@ def hunting(**changes):
             float(np.abs(run.x[late, 0] - run.x_d[late, 0]).max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('law', ['pid', 'robust_eso', 'robust'])
 def test_what_integrates_hunts_at_rest_and_a_band_of_error_ends_it(law):
     variation, error = hunting(**{'controller.law': law})
@@ -172,6 +173,7 @@ def test_what_integrates_hunts_at_rest_and_a_band_of_error_ends_it(law):
     assert left < 2.0 * band
 
 
+@pytest.mark.slow
 def test_regressors_at_the_reference_help_while_it_moves():
     sine = {'trajectory.kind': 'sinusoid', 'trajectory.amplitude': 1.0}
     variation, error = hunting(**sine)

@@ -206,6 +206,7 @@ def test_hosted_loop_with_an_encoder_is_the_offline_loop_bit_for_bit():
     assert not np.array_equal(offline.x_measured[:, 1], offline.x[:, 1])
 
 
+@pytest.mark.slow
 def test_compiled_loop_observes_as_the_plain_one():
     c = Configuration.from_flat(ENCODER)
     for kind in OBSERVERS:

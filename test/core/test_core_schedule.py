@@ -130,6 +130,7 @@ def test_knowing_nothing_it_is_the_law_in_front_of_which_it_stands():
     assert same.v == pytest.approx(own.v, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_knowing_the_tables_it_is_more_accurate():
     flat = {**FALLING, 'loop.duration': 8.0, 'plant.x0': [0.0, 2.5]}
     errors = []

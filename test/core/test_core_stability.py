@@ -70,6 +70,7 @@ def test_stability_limit_does_not_hang_on_where_the_search_starts():
         assert limit == pytest.approx(8.05, abs=0.06)
 
 
+@pytest.mark.slow
 def test_projection_cures_it():
     assert lambda_limit(configuration(controller__law='extended', controller__projection=True),
                         highest=20.0) == math.inf

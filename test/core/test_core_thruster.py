@@ -55,6 +55,7 @@ def test_configuration_holds_the_curve():
                                                                abs=5e-4)
 
 
+@pytest.mark.slow
 def test_tracks_while_the_supply_falls_from_20_to_14_volts():
     c = dz.load('thruster')
     assert (c.loop.schedule(0.0), c.loop.schedule(c.loop.duration)) == (20.0, 14.0)

@@ -191,6 +191,7 @@ def greeted(motors, *commands):
         for seq, v, safe, hold, request in commands)]
 
 
+@pytest.mark.slow
 @settings(max_examples=2 * settings.default.max_examples, deadline=None,
           suppress_health_check=[HealthCheck.too_slow])
 @given(st.data())

@@ -157,6 +157,7 @@ def test_every_wrong_bit_is_found():
             assert receiver.refused.counts[CHECKSUM] == 1
 
 
+@pytest.mark.slow
 def test_up_to_four_wrong_bits_of_the_longest_body_are_found():
     # What a wrong bit does to the CRC does not depend on the data. That of one or two bits is
     # never that of one or two others, so no one to four of them cancel.

@@ -125,6 +125,7 @@ def test_another_device_after_a_reconnection_is_not_taken(fake, make, until):
         driver.close()
 
 
+@pytest.mark.slow
 def test_nothing_waits_for_a_line_that_takes_nothing(fake, make, until):
     there = fake(lambda frame: polite(frame, mode=Mode.SAFE))
     driver = make(there.port, silence=300.0)

@@ -49,6 +49,7 @@ FRAMES = MOTORS.flatmap(lambda n: st.one_of(
         rows(st.integers(0, 65535), n), rows(rows(COUNTS, values), n)))))
 
 
+@pytest.mark.slow
 @given(FRAMES)
 def test_every_frame_comes_back(frame):
     assert decode(frame.body()) == frame

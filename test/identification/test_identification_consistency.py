@@ -88,6 +88,7 @@ def test_a_velocity_that_is_a_little_wrong_widens_the_bounds_of_the_slopes(loop,
         assert wrong.bounds[name].width > right.bounds[name].width + 1.5 * abs(factor - 1.0)
 
 
+@pytest.mark.slow
 def test_a_position_that_is_mostly_noise_shows_no_factor_of_the_velocity(loop):
     """By chance alone it looks like half of it, or ten times as much, in one log of twenty."""
     c, run = loop

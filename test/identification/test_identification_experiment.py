@@ -232,6 +232,7 @@ def test_a_move_in_which_the_machine_stalled_is_made_again():
     assert moves(samples, 'ramp') == moves(calm, 'ramp')
 
 
+@pytest.mark.slow
 def test_stalls_without_end_are_not_repeated_without_end():
     _, experiment, samples = session({}, plan=Plan(repeats=1),
                                      wait=stalls(range(300, 10 ** 6), 40))

@@ -47,6 +47,7 @@ def test_which_plants_have_a_constant_term():
     assert {place for name, place in found.items() if name != 'axis'} == {None}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('share', [0.8, 1.2])
 def test_a_force_that_is_wrong_is_found(axis, share):
     c, samples = axis
@@ -56,6 +57,7 @@ def test_a_force_that_is_wrong_is_found(axis, share):
     assert found.a[:2] == pytest.approx(c.plant.a[:2], abs=0.01)
 
 
+@pytest.mark.slow
 def test_it_is_bound_to_the_confidence_of_the_stretches(axis):
     c, samples = axis
     truth = c.plant.a[2]
@@ -65,6 +67,7 @@ def test_it_is_bound_to_the_confidence_of_the_stretches(axis):
     assert tight == pytest.approx(1.5 * truth, rel=0.1)
 
 
+@pytest.mark.slow
 def test_break_points_and_intervals_stay(axis):
     c, samples = axis
     fitted = plant(c, 0.8 * c.plant.a[2], 0.5)
@@ -84,6 +87,7 @@ def test_what_is_not_seen_or_too_short_stays(axis):
     assert refine_by_simulation(fitted, replace(samples, x=holes), c, 0) is fitted
 
 
+@pytest.mark.slow
 def test_a_slope_that_is_not_seen_is_not_that_of_the_other_side(axis):
     c, samples = axis
     fitted = plant(c, 0.8 * c.plant.a[2], 0.5, l=math.inf)

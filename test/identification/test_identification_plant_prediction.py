@@ -153,6 +153,7 @@ def test_the_verb_prints_what_is_explained_and_draws_it(saved, tmp_path, capsys)
             in capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_the_numbers_as_json(saved, tmp_path, capsys):
     picture = tmp_path / 'x.png'
     assert main(['bag', 'predict', str(saved), '--json', '--picture', str(picture)]) == 0

@@ -24,7 +24,8 @@ DOCUMENT = ROOT / 'docs' / 'real_log.md'
 FORCE = 35.15
 """N/V."""
 MAP = 'stamp=time_s,x0=position_m,xd0=desired_position_m,v=command_V'
-pytestmark = pytest.mark.skipif(not LOG.exists(), reason=f'{LOG.name} is not beside the package')
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(
+    not LOG.exists(), reason=f'{LOG.name} is not beside the package')]
 
 
 def explained(folder, run):

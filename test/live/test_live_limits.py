@@ -271,6 +271,7 @@ def test_a_viewer_that_stops_reading_is_dropped_and_nothing_waits_for_it(with_pa
     with_page(test)
 
 
+@pytest.mark.slow
 def test_a_table_never_takes_more_memory_than_it_may():
     wide = History(5000, 10 ** 9)
     assert wide.nbytes <= MOST_BYTES

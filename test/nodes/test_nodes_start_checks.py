@@ -49,7 +49,7 @@ def test_the_start_has_one_line_on_a_sound_design():
     assert node.logged == [
         'design rules, assumptions: holds: (A1), (A2), (A3), (A4), input gain, reference; stated: '
         'state, structure; k* = 2.5 covers the dead-zone (rho/m_min = 1.029) and a disturbance of '
-        'up to 1.25; details: dz check']
+        'up to 1.25 1/s²; details: dz check']
 
 
 def test_an_assumption_that_is_not_met_has_its_own_line():

@@ -77,6 +77,7 @@ def assert_part_of(found, data, *, prefix: bool) -> int:
     return sum(len(channel) for channel in found.channels.values())
 
 
+@pytest.mark.slow
 @MANY
 @given(st.data())
 def test_cut_anywhere(whole, place, data):

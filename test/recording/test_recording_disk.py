@@ -50,6 +50,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (unlimited, unlimited))   # coverage w
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('way', ['direct', 'queued'])
 def test_full_disk(tmp_path, processes, way):
     pytest.importorskip('resource')

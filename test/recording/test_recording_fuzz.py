@@ -73,6 +73,7 @@ def test_the_fuzzer_notices_what_does_not_end_and_what_fills_memory(fuzzer):
         endless()
 
 
+@pytest.mark.slow
 def test_the_fuzzer_measures_the_memory_of_the_input_alone(fuzzer, tmp_path, monkeypatch):
     held = bytearray(b'x' * 2**28)
     start = fuzzer.start_of_growth()

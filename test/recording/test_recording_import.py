@@ -314,6 +314,7 @@ def test_a_table_with_very_many_columns_is_read_as_fast_as_its_text(tmp_path):
     assert time.process_time() - begin < 5.0
 
 
+@pytest.mark.slow
 def test_a_long_table_is_not_held_as_text(tmp_path, monkeypatch):
     path = tmp_path / 'a.csv'
     path.write_text('t,x\n' + '1,1\n' * 100_000)

@@ -34,6 +34,7 @@ for k in itertools.count():
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('rate', [1, 200, 5000])
 def test_kill_costs_less_than_a_second(tmp_path, processes, rate):
     """The writer's clock is that of the messages, so the machine's speed does not matter."""

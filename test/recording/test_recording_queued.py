@@ -147,6 +147,7 @@ def test_close_from_two_threads_gives_the_same(tmp_path, wait):
     assert found[0] is found[1]
 
 
+@pytest.mark.slow
 def test_configurations_that_repeat_or_flap_cost_next_to_nothing(tmp_path):
     """Ten minutes in which a node states its configuration ten times a second."""
     now = 0.0

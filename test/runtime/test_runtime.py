@@ -88,6 +88,7 @@ def test_a_domain_that_does_not_exist_is_named(monkeypatch, given):
         domain_topic('/state')
 
 
+@pytest.mark.slow
 def test_settling_keeps_the_collector_and_other_threads_out():
     interval = sys.getswitchinterval()
     try:

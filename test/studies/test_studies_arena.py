@@ -201,6 +201,7 @@ def test_laws_are_named_where_no_other_has_less_of_both():
     assert unbeaten(points) == {'a', 'b', 'c'}
 
 
+@pytest.mark.slow
 def test_every_law_of_a_subset_is_named_and_no_name_covers_another(arena):
     figure = scatter(arena).figure
     figure.canvas.draw()

@@ -263,6 +263,7 @@ def test_a_drive_that_leaves_operational_stops_the_others(machine, drive_all):
     drive_all(hosted, lambda: m.states() == [S.ENABLED] * 3)
 
 
+@pytest.mark.slow
 def test_a_reset_that_one_refuses_leaves_the_others_stopped(machine, drive_all, until):
     m = machine(driver__transition_limit=0.3)
     hosted = moving(m, drive_all)
@@ -329,6 +330,7 @@ def test_one_axis_alone_leaves_the_other_drives_as_they_are(machine, until):
     driver.disable()
 
 
+@pytest.mark.slow
 def test_the_kit_checks_each_driver_beside_the_others(machine, monkeypatch):
     monkeypatch.setattr(driver_checks, 'RUN_DURATION', 0.3)
     m = machine()
@@ -400,6 +402,7 @@ def test_drives_by_number_have_ids_seeds_and_motors_of_their_own():
         Cia402Emulator.of_axes(parameters, configured(), 2, ())
 
 
+@pytest.mark.slow
 def test_a_scripted_fault_is_of_its_axis(machine, drive_all):
     m = machine()
     m.emulator.drives['shoulder'].pending = [Fault('emcy', 0.0)]

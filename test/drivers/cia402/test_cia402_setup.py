@@ -327,6 +327,7 @@ def turns(start, until, number):
     return driver.bus.measurement.x, x
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('counts', [65536, 65536 * 2])
 def test_a_modulo_axis_is_followed_over_its_turns(drive, until, counts):
     measured, true = turns(lambda: drive(emulated__position_range=counts), until,
@@ -335,6 +336,7 @@ def test_a_modulo_axis_is_followed_over_its_turns(drive, until, counts):
     assert measured > 2.0 * math.pi * counts / 65536 * 2
 
 
+@pytest.mark.slow
 def test_a_narrow_counter_not_configured_is_a_fault_and_can_be_configured(drive, until):
     d = drive(emulated__position_range=65536, emulated__reports_range=False)
     driver = d.enabled()
