@@ -12,6 +12,7 @@ from typing import Any
 
 from dz_ros.cli.operator import add_remapping, operator
 from dz_ros.cli.output import print_lines
+from dz_ros.cli.progress import stage
 from dz_ros.core.lateness import LATE_COUNT
 
 LEVELS = ('ok', 'WARN', 'ERROR', 'STALE')
@@ -56,6 +57,10 @@ def run(arguments: argparse.Namespace) -> int:
         reader.start()
         shown = 0.0
         until = time.monotonic() + 15.0
+        if arguments.once:
+            with stage('waiting for diagnostics'):
+                while process.poll() is None and not newest and time.monotonic() < until:
+                    time.sleep(0.1)
         while process.poll() is None:
             time.sleep(0.1)
             now = time.monotonic()

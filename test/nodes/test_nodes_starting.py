@@ -94,5 +94,6 @@ def test_without_a_home_a_verb_does_its_work_and_reports_it_in_one_line(processe
     code = verb.wait()
     assert (code == 0) == (words[0] == 'run'), verb.output      # the others find no loop
     assert 'pressed on /estop' in verb.output or words[0] != 'estop'
+    assert ('waiting for diagnostics: ' in verb.output) == (words[0] == 'status')
     assert verb.output.count('ROS_LOG_DIR') == 1
     assert 'Traceback' not in verb.output
