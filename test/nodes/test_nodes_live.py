@@ -166,7 +166,7 @@ def test_a_viewer_gets_what_is_recorded_and_what_it_does_is_recorded(processes, 
         'disturbance_pulse', 'activate', 'estop', 'reset', 'deactivate']
     assert all(item['node'] == '/live_node' and item['by'] == '127.0.0.1' for item in actions)
     # the controller's own reason
-    assert 'design rule (18): k* = 0.01 does not cover the dead-zone' in refusal
+    assert 'design rule (18): k* = 0.01 A does not cover the dead-zone' in refusal
     truth = data.channels['truth']
     after = (truth['seq'] > pressed + 3) & (truth['seq'] < pressed + 60)
     assert after.sum() > 40

@@ -124,9 +124,15 @@ def moving(m, drive_all):
     """Return what holds the drivers, all enabled and commanded."""
     hosted = m.hosted()
     hosted.enable()
-    drive_all(hosted, lambda: all(m.node(name).motor.target for name in NAMES))
-    walks = [item.driver.cycle.walk for item in hosted.each]
-    drive_all(hosted, lambda: all(walk.arrived for walk in walks))
+
+    def running(condition):
+        if hosted.fault():      # a machine that stands still for longer than a drive waits
+            hosted.recover()
+        return condition()
+
+    drive_all(hosted, lambda: running(lambda: all(m.node(name).motor.target for name in NAMES)))
+    drive_all(hosted, lambda: running(lambda: all(item.driver.cycle.walk.arrived
+                                                  for item in hosted.each)))
     return hosted
 
 
