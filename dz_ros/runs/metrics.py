@@ -225,9 +225,10 @@ def measure(rows: RunTable, setting: Setting, *, window: tuple[float, float] | N
     inside = _span((rows.t >= begin - 1e-9) & (rows.t <= end + 1e-9))
     errors = [np.abs(rows.x[:, i] - rows.x_d[:, i]) for i in range(rows.x.shape[1])]
     t, v, error = rows.t[inside], rows.v[inside], [item[inside] for item in errors]
-    windowed = replace(rows, t=t, x=rows.x[inside], x_d=rows.x_d[inside], terms={
-        name: rows.terms[name][inside] for name in ('s', 'epsilon', 'status')
-        if name in rows.terms})
+    windowed = replace(rows, seq=rows.seq[inside], t=t, v=v, x=rows.x[inside],
+                       x_d=rows.x_d[inside], terms={
+                           name: rows.terms[name][inside] for name in ('s', 'epsilon', 'status')
+                           if name in rows.terms})
     epsilon = layer_width(windowed, setting)
     with np.errstate(over='ignore', invalid='ignore'):
         ratio = np.abs(filtered_error(windowed, setting) / epsilon)
@@ -268,7 +269,7 @@ def _highpass_rms(rows: RunTable, setting: Setting,
     """Return the RMS of high-passed v in the window, missing commands interpolated over."""
     if setting.period is None:
         return None
-    if (np.abs(rows.v).max() < LARGE        # of NaN and infinity as well it is not
+    if (np.abs(rows.v).max() < LARGE        # false for NaN and infinity too
             and np.array_equal(rows.t, np.arange(len(rows.t)) * setting.period)):
         rest = high_passed(rows.v, 1.0 / setting.period)    # every sample at its place
         return None if rest is None else rms(rest[inside])

@@ -85,7 +85,8 @@ def test_numbers_of_the_example():
     ({'controller.law': 'robust', 'controller.k_star': 2.0}, '(18)', ERROR, 'of the integral'),
     ({'controller.law': 'robust'}, '(18)', INFO, 'the model has 1.25 1/s² of it, of which the'),
     ({'controller.law': 'robust', 'controller.rho_1': 1.0}, '(18)', WARNING,
-     'a disturbance of up to 0.0005 1/s²; along the reference the model has 1.25 1/s² of it'),
+     'a disturbance of up to 0.0005 1/s²; along the reference the model has 1.25 1/s² of it, '
+     'more than'),
     ({'controller.law': 'robust'}, 'projection', INFO, 'holds'),
     ({'controller.law': 'robust', 'controller.b_bounds': [0.2, 2.0]}, 'projection', WARNING,
      'φ̂ may have to be in [0.4, 5.88]'),
