@@ -401,11 +401,12 @@ class Configuration:
                replaced: Mapping[str, type | None] | None = None) -> Configuration:
         """Make a configuration from keys whose names are already known to be the user's.
 
-        Sections without a key are those of another configuration, if one is given. `replaced` are
-        further classes whose keys are set aside, by section; None = one that cannot be loaded.
+        What no key names is as in another configuration, if one is given; of a section for which
+        a class is chosen, the default. `replaced` are further classes whose keys are set aside, by
+        section; None = one that cannot be loaded.
         """
-        replaced = replaced or {name: group[1] for name, group in base._groups.items()
-                                if group[1]} if base is not None else replaced or {}
+        groups = {} if base is None else base._groups
+        replaced = replaced or {name: group[1] for name, group in groups.items() if group[1]}
         sections: dict[str, dict[str, Any]] = {name: {} for name in SECTIONS}
         for key, value in flat.items():
             section, dot, name = key.partition('.')
@@ -414,18 +415,18 @@ class Configuration:
             sections[section][name] = value
         zone_values = {name.partition('.')[2]: sections['plant'].pop(name)
                        for name in list(sections['plant']) if name.startswith('dead_zone.')}
-        kept = {} if base is None else {name: group for name, group in base._groups.items()
-                                        if not sections[name] and not (name == 'plant'
-                                                                       and zone_values)}
-        dead_zone = (base.dead_zone if base is not None and 'plant' in kept else
-                     schema.build(DeadZone, zone_values, 'plant.dead_zone.'))
+        kept = {name: group for name, group in groups.items() if not sections[name]}
+        dead_zone = schema.build(DeadZone, zone_values, 'plant.dead_zone.',
+                                 base.dead_zone if base else None)
         set_aside: list[str] = []
         built = {name: kept[name] if name in kept
-                 else _section(name, values, set_aside, replaced) if driven or name != 'driver'
-                 else _undriven(values, set_aside) for name, values in sections.items()}
+                 else _section(name, values, set_aside, replaced, groups.get(name))
+                 if driven or name != 'driver' else _undriven(values, set_aside, groups.get(name))
+                 for name, values in sections.items()}
         loop = built['loop'][0]
         settings, model, parameters = built['plant']
-        plant = _made('plant', settings, model, parameters)
+        plant = (base.plant if base is not None and 'plant' in kept
+                 else _made('plant', settings, model, parameters))
         controller, law_class, gains = built['controller']
         if law_class.coupled:
             _check_what_it_sees(controller)
@@ -586,10 +587,10 @@ class Configuration:
         if self.axes or overrides.get('loop.axes'):
             return self._replace_axes(overrides)
         check_axes(split_keys(overrides)[1], ())
-        changed = {key.partition('.')[0] for key in overrides}
-        if 'plant.model' in overrides:
-            changed.add('controller')       # its lists may not fit the new plant
-        flat = self.to_flat(*changed)
+        chosen = {section for section, (_, key) in _CHOSEN.items() if key in overrides}
+        if 'plant' in chosen:
+            chosen.add('controller')        # its lists may not fit the new plant
+        flat = self.to_flat(*chosen) if chosen else {}
         return self._fitting({**flat, **overrides}, self.driver_class is not Undriven,
                              _owners(_replaced(flat, overrides)), overrides, flat, self)
 
@@ -710,18 +711,24 @@ def _made(section: str, settings: Any, chosen: Any, *arguments: Any) -> Any:
                                  f'cannot be made: {failure(error)}') from error
 
 
-def _section(name: str, values: Mapping[str, Any],
-             set_aside: list[str],
-             replaced: Mapping[str, type | None]) -> tuple[Any, Any, Any]:
-    """Return (settings, chosen class, its parameter group) of one section."""
+def _section(name: str, values: Mapping[str, Any], set_aside: list[str],
+             replaced: Mapping[str, type | None],
+             base: tuple[Any, Any, Any] | None) -> tuple[Any, Any, Any]:
+    """Return (settings, chosen class, its parameter group) of one section.
+
+    What no key names is as in `base`, if there is one, unless a key chooses the class.
+    """
     settings_class, registry, group_name = SECTIONS[name]
-    common = {item.name: item for item in schema.fields(settings_class)}
-    given = {key: value for key, value in values.items() if key in common or registry is None}
-    settings: Any = schema.build(settings_class, given, f'{name}.')
     if registry is None:
-        return settings, None, None
-    chosen = registry.load(getattr(settings, SELECTORS[name]))
-    own = {item.name for item in schema.fields(getattr(chosen, group_name))}
+        return schema.build(settings_class, values, f'{name}.', base[0] if base else None), \
+            None, None
+    before, chosen, parameters = base if base and SELECTORS[name] not in values else (None,) * 3
+    common = schema.names(settings_class)
+    settings: Any = schema.build(settings_class, {
+        key: value for key, value in values.items() if key in common}, f'{name}.', before)
+    if chosen is None:
+        chosen = registry.load(getattr(settings, SELECTORS[name]))
+    own = schema.names(getattr(chosen, group_name))
     given = {}
     for key, value in values.items():
         if key in common:
@@ -734,15 +741,18 @@ def _section(name: str, values: Mapping[str, Any],
         else:
             raise schema.unknown_key(f'{name}.{key}', value,
                                      (f'{name}.{item}' for item in {*common, *own}))
-    return settings, chosen, schema.build(getattr(chosen, group_name), given, f'{name}.')
+    return settings, chosen, schema.build(getattr(chosen, group_name), given, f'{name}.',
+                                          parameters)
 
 
-def _undriven(values: Mapping[str, Any], set_aside: list[str]) -> tuple[Any, Any, Any]:
+def _undriven(values: Mapping[str, Any], set_aside: list[str],
+              base: tuple[Any, Any, Any] | None) -> tuple[Any, Any, Any]:
     """Return what `_section` does for the section `driver`, without its class."""
-    common = {item.name for item in schema.fields(DriverSettings)}
+    common = schema.names(DriverSettings)
     set_aside += [f'driver.{key}' for key in values if key not in common]
-    settings = schema.build(DriverSettings, {key: value for key, value in values.items()
-                                             if key in common}, 'driver.')
+    settings = schema.build(DriverSettings, {
+        key: value for key, value in values.items() if key in common}, 'driver.',
+        base[0] if base and SELECTORS['driver'] not in values else None)
     return settings, Undriven, NoParameters()
 
 
@@ -754,8 +764,7 @@ def _known_elsewhere(registry: Registry, group_name: str, key: str) -> bool:
 
 def _has(found: Any, group_name: str, key: str) -> bool:
     """Return whether a class has such a parameter; True for None, which cannot be asked."""
-    return found is None or key in {item.name
-                                    for item in schema.fields(getattr(found, group_name))}
+    return found is None or key in schema.names(getattr(found, group_name))
 
 
 def _replaced(base: Mapping[str, Any], changed: Mapping[str, Any]) -> dict[str, Any]:

@@ -114,6 +114,12 @@ def _declared(group: Any) -> tuple[Field, ...]:
     return tuple(found)
 
 
+@cache
+def names(group: Any) -> dict[str, Field]:
+    """Return the parameters of a group by their outside names."""
+    return {field.name: field for field in fields(group)}
+
+
 def _convert(kind: str, value: Any) -> Any:
     """Return the value as its declared type; raise TypeError where it is another one."""
     if kind == 'bool':
@@ -195,23 +201,30 @@ def unknown_key(key: str, value: Any, known: Iterable[str]) -> ConfigurationErro
     return ConfigurationError(key, value, f'unknown key; {hint}')
 
 
-def build(group: type[Group], values: Mapping[str, Any], prefix: str = '') -> Group:
+def build(group: type[Group], values: Mapping[str, Any], prefix: str = '',
+          base: Group | None = None) -> Group:
     """Make a group from the values given, defaults for the rest.
 
     Args:
         group: A frozen dataclass of `parameter` fields.
         values: Outside name → value. Every name must belong to the group.
         prefix: Section, ending in a dot, put before names in errors.
+        base: A group of the same class, whose values are taken for the rest instead.
 
     Raises:
         ConfigurationError: Unknown key or a value that is not allowed.
     """
-    known = {field.name: field for field in fields(group)}
+    if base is not None and not values:
+        return base
+    hashable: Any = group
+    known = names(hashable)
     for name in values:
         if name not in known:
             raise unknown_key(prefix + name, values[name], (prefix + item for item in known))
-    made = group(**{known[name].attribute: check_value(known[name], value, prefix + name)
-                    for name, value in values.items()})
+    checked = {known[name].attribute: check_value(known[name], value, prefix + name)
+               for name, value in values.items()}
+    before: Any = base
+    made: Group = group(**checked) if base is None else dataclasses.replace(before, **checked)
     check = getattr(made, 'check', None)
     if check is not None:
         check(prefix)

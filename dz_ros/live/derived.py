@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.tracking import guaranteed_bounds
 from dz_ros.live.columns import DERIVED, Layout
-from dz_ros.runs.metrics import active
+from dz_ros.runs.table import where_active
 
 Array = NDArray[np.float64]
 
@@ -105,7 +105,7 @@ class Deriver:
             if s is not None:
                 status = self._column(rows, 'status')
                 rows[:, place['s_over_epsilon']] = s / layer if status is None else np.where(
-                    active(status), s / layer, np.nan)
+                    where_active(status), s / layer, np.nan)
             if design.target > 0.0 and design.epsilon > 0.0:
                 unit = guaranteed_bounds(design.lambda_, 1.0, c.plant.order)[0]
                 rows[:, place['omega']] = unit * layer * design.target / design.epsilon

@@ -24,7 +24,6 @@ from dz_ros.core.text import counted
 from dz_ros.report import page
 from dz_ros.report.guarantee import Guarantee, guarantee
 from dz_ros.report.view import View
-from dz_ros.runs.metrics import law_active
 
 REST = 0.25
 """Part of the window that must be within Ω_ε without a break to be named."""
@@ -153,7 +152,7 @@ def _skipped(view: View) -> int:
 
 def _inactive(view: View) -> str:
     """Return the number of samples in which the law was not active."""
-    count = int(np.count_nonzero(~law_active(view.rows)))
+    count = int(np.count_nonzero(~view.rows.active))
     what = '1 sample, which counts' if count == 1 else f'{count} samples, which count'
     return f'the law was inactive in {what} for no share and no s/ε' if count else ''
 

@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dz_ros.core.loop.compiled import quick
-from dz_ros.core.records import Status
 from dz_ros.core.tracking import error_weights, guaranteed_bounds
 from dz_ros.errors import ConfigurationError
 from dz_ros.runs.setting import Setting
@@ -149,31 +148,15 @@ def jsonable(value: Any) -> Any:
 def filtered_error(rows: RunTable, setting: Setting) -> Array:
     """Return s: the law's own where it is published, else Λᵀx̃ (8) with the configured λ."""
     if 's' in rows.terms:
-        return _while(law_active(rows), rows.terms['s'])
+        return _while(rows.active, rows.terms['s'])
     if setting.lambda_ is None:
         return np.full(len(rows.t), np.nan)
     return np.asarray(rows.error @ np.asarray(error_weights(setting.lambda_, setting.order)))
 
 
-def law_active(rows: RunTable) -> NDArray[np.bool_]:
-    """Return the samples whose terms the law computed, shape (N,); all without a status."""
-    status = rows.terms.get('status')
-    if status is None or not status.any():
-        return np.ones(len(rows.t), dtype=bool)
-    return active(status)
-
-
-def active(status: Array) -> NDArray[np.bool_]:
-    """Return where status bits leave a law active, shape (N,); where they are unknown too."""
-    known = np.isfinite(status) & (status >= 0.0)
-    bits = np.where(known, status, 0.0).astype(np.int64)
-    return np.asarray(~known | (bits & Status.INACTIVE == 0), dtype=np.bool_)
-
-
 def while_active(rows: RunTable) -> RunTable:
     """Return a table whose terms, but for the status, are NaN where the law was inactive."""
-    active = law_active(rows)
-    return replace(rows, terms={name: values if name == 'status' else _while(active, values)
+    return replace(rows, terms={name: values if name == 'status' else _while(rows.active, values)
                                 for name, values in rows.terms.items()})
 
 
@@ -184,7 +167,7 @@ def layer_width(rows: RunTable, setting: Setting) -> Array:
     """
     width = rows.terms['epsilon'] if 'epsilon' in rows.terms else np.full(
         len(rows.t), math.nan if setting.epsilon is None else setting.epsilon)
-    return _while(law_active(rows), width)
+    return _while(rows.active, width)
 
 
 def _while(active: NDArray[np.bool_], values: Array) -> Array:
@@ -271,8 +254,10 @@ def _highpass_rms(rows: RunTable, setting: Setting,
         return None
     if (np.abs(rows.v).max() < LARGE        # false for NaN and infinity too
             and np.array_equal(rows.t, np.arange(len(rows.t)) * setting.period)):
-        rest = high_passed(rows.v, 1.0 / setting.period)    # every sample at its place
-        return None if rest is None else rms(rest[inside])
+        begin, end = (inside.start, inside.stop) if isinstance(inside, slice) else (0, len(rows.t))
+        rest = high_passed(rows.v, 1.0 / setting.period, since=begin)   # each sample at its place
+        return None if rest is None else rms(
+            rest[:end - begin] if isinstance(inside, slice) else rest[inside])
     known = np.isfinite(rows.v)
     if not known.any():
         return None
@@ -332,24 +317,25 @@ def settled_after(t: Array, error: Array, tolerance: float, since: float = -math
     return float(t[begin])
 
 
-def high_passed(v: Array, rate: float, corner: float = CORNER) -> Array | None:
+def high_passed(v: Array, rate: float, corner: float = CORNER, since: int = 0) -> Array | None:
     """Return v without what is slower than the corner, phase untouched; None where impossible.
 
     Args:
         v: Equidistant samples, shape (N,).
         rate: Samples per second; must exceed twice the corner.
         corner: Corner of the 4th-order Butterworth high-pass, run forwards and backwards [Hz].
+        since: Sample from which on it is returned, shape (N − since,).
     """
     if rate <= 2.0 * corner or len(v) < 30 or not np.isfinite(v).all():
         return None
     if len(v) <= SHORT:
-        return both_ways(v, rate, corner)
+        return both_ways(v, rate, corner, since)
     from scipy import signal
     sections = signal.butter(4, corner, 'highpass', fs=rate, output='sos')
-    return np.asarray(signal.sosfiltfilt(sections, v))
+    return np.asarray(signal.sosfiltfilt(sections, v)[since:])
 
 
-def both_ways(v: Array, rate: float, corner: float) -> Array:
+def both_ways(v: Array, rate: float, corner: float, since: int = 0) -> Array:
     """Return what `high_passed` does without scipy, whose import takes longer than a simulation.
 
     Two sections of second order by the bilinear transform, quality 1/(2 cos π/8), 1/(2 cos 3π/8);
@@ -357,18 +343,16 @@ def both_ways(v: Array, rate: float, corner: float) -> Array:
     """
     k = math.tan(math.pi * corner / rate)
     edge = 15
-    x = np.concatenate((2.0 * v[0] - v[edge:0:-1], v, 2.0 * v[-1] - v[-2:-edge - 2:-1]))
+    x: Any = np.concatenate((2.0 * v[0] - v[edge:0:-1], v, 2.0 * v[-1] - v[-2:-edge - 2:-1]))
     run = quick(high_pass)
+    if run is high_pass:
+        x = x.tolist()
+    run(k, *DAMPING, float(x[0]), x)
+    x = x[:since + edge - 1:-1]     # backwards, and no further than is wanted
     if run is not high_pass:
-        for _ in range(2):
-            run(k, *DAMPING, float(x[0]), x)
-            x = x[::-1].copy()
-        return np.asarray(x[edge:-edge])
-    values = x.tolist()
-    for _ in range(2):
-        run(k, *DAMPING, values[0], values)
-        values.reverse()
-    return np.array(values[edge:-edge])
+        x = x.copy()
+    run(k, *DAMPING, float(x[0]), x)
+    return np.array(x[:edge - 1:-1])
 
 
 DAMPING = (2.0 * math.cos(math.pi / 8.0), 2.0 * math.cos(3.0 * math.pi / 8.0))
@@ -415,7 +399,7 @@ def largest(values: Array) -> float | None:
 def rms(values: Array) -> float | None:
     """Return the root mean square of those that are numbers."""
     known = _numbers(values)
-    return float(np.sqrt(np.mean(known * known))) if len(known) else None
+    return math.sqrt(float(np.add.reduce(known * known)) / len(known)) if len(known) else None
 
 
 def share(known: Array, condition: NDArray[np.bool_]) -> float | None:
@@ -433,7 +417,7 @@ def variation(t: Array, v: Array) -> float | None:
         t, v = t[known], v[known]
     if len(t) < 2 or t[-1] <= t[0]:
         return None
-    return float(np.abs(np.diff(v)).sum() / (t[-1] - t[0]))
+    return float(np.abs(v[1:] - v[:-1]).sum() / (t[-1] - t[0]))
 
 
 def _numbers(values: Array) -> Array:

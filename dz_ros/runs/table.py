@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from numpy.typing import NDArray
 
 from dz_ros.core.dataset import Channel, RunData
 from dz_ros.core.loop.controller import SNAP
-from dz_ros.core.records import extrapolate
+from dz_ros.core.records import extrapolate, Status
 from dz_ros.errors import RecordingError
 from dz_ros.runs.axes import require_one
 from dz_ros.runs.sequence import count_sequence, first_of_each, longest_stretch, SequenceCount
@@ -116,6 +117,14 @@ class RunTable:
              if name in run.channels},
             carried, undated + int(np.count_nonzero(~np.isfinite(x).all(axis=1))), restarts)
 
+    @cached_property
+    def active(self) -> NDArray[np.bool_]:
+        """The samples whose terms the law computed, shape (N,); all without a status."""
+        status = self.terms.get('status')
+        if status is None or not status.any():
+            return np.ones(len(self.t), dtype=bool)
+        return where_active(status)
+
     @property
     def error(self) -> Array:
         """x̃ = x − x_d of the measured state, shape (N, n)."""
@@ -144,6 +153,13 @@ class RunTable:
     def duration(self) -> float:
         """From the first to the last state [s]."""
         return float(self.t[-1] - self.t[0])
+
+
+def where_active(status: Array) -> NDArray[np.bool_]:
+    """Return where status bits leave a law active, shape (N,); where they are unknown too."""
+    known = np.isfinite(status) & (status >= 0.0)
+    bits = np.where(known, status, 0.0).astype(np.int64)
+    return np.asarray(~known | (bits & Status.INACTIVE == 0), dtype=np.bool_)
 
 
 def joined(channel: Channel | None, seq: Integers, labels: tuple[str, ...]) -> dict[str, Array]:

@@ -162,6 +162,34 @@ def test_replace_changes_what_it_is_given_and_nothing_else():
     assert c.loop.delay == 0
 
 
+OTHERS = {'float': (0.3, 2.0, 11.0, -1.0, math.nan, 'text'), 'int': (0, 1, 3, -1, 2.5),
+          'bool': (True, False, 1), 'strings': (['x'], [], 3),
+          'str': ('robust', 'pd', 'chirp', 'friction', 'lockstep', 'nothing', 1),
+          'floats': ([], [0.1], [0.1, 0.2], [0.5, 0.5, 0.5], [math.inf], 1.0)}
+"""Values by kind, some of which each key refuses."""
+FULL = {'plant.dead_zone.m_r': 1.3, 'plant.b': 1.1, 'controller.law': 'robust',
+        'controller.k_star': 2.5, 'trajectory.frequency': 0.7, 'safety.command_limit': 30.0,
+        'loop.seed': 7, 'process.priority': 0, 'driver.name': 'simulated'}
+
+
+@pytest.mark.parametrize('key', list(Configuration.from_flat(FULL).fields()))
+def test_a_replaced_key_gives_what_all_keys_together_give(key):
+    c = Configuration.from_flat(FULL)
+
+    def made(change):
+        try:
+            found = change()
+        except DzRosError as error:
+            return str(error)
+        return (found.to_flat(), found.set_aside, found.x0, found.noise, found.zone_numbers,
+                found.law.constants, found.plant.constants, found.trajectory.constants)
+
+    field = c.fields()[key]
+    for value in (*OTHERS[field.kind], *field.spec.choices):
+        assert made(lambda value=value: c.replace(**{key: value})) == made(
+            lambda value=value: Configuration.from_changed(c.to_flat(), {key: value}))
+
+
 def test_keys_of_another_class_are_set_aside_so_that_a_law_is_changed_by_one_word():
     c = Configuration.from_flat({'controller.law': 'pd', 'controller.k_star': 2.5,
                                  'plant.mass': 11.0, 'trajectory.bandwidth': 3.0})

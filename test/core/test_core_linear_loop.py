@@ -60,6 +60,23 @@ def test_largest_input_gain_is_that_of_the_independent_program(law, limits):
     assert found == pytest.approx(limits, rel=3e-3)
 
 
+@pytest.mark.parametrize('delay', [0, 1, 3])
+@pytest.mark.parametrize(('name', 'values'), CONDITIONS)
+def test_the_margin_is_what_plain_bisection_ends_at(name, values, delay):
+    model = make(LAWS.load(name), **values).layer_model()
+
+    def calm(beta):
+        return spectral_radius(model, T, beta, delay) < 1.0
+
+    grid = np.geomspace(1e-3, 2.0, 64) * 2.0 / (abs(model.d[-1]) * T)
+    last = max((place for place in range(64) if calm(grid[place])), default=None)
+    below, above = (0.0, 0.0) if last is None else grid[last:last + 2]
+    for _ in range(34):
+        middle = 0.5 * (below + above)
+        below, above = (middle, above) if calm(middle) else (below, middle)
+    assert largest_beta(model, T, delay) == pytest.approx(below, rel=3e-11)
+
+
 @pytest.mark.parametrize(('lambda_', 'delay', 'limit'), [
     (10.0, 1, 2.33), (10.0, 2, 1.11), (20.0, 1, 2.06), (20.0, 2, 0.91)])
 def test_a_steep_surface_leaves_less_than_the_rule_on_the_slope_reports(lambda_, delay, limit):

@@ -269,3 +269,7 @@ def test_the_high_pass_is_that_of_scipy(rate, length):
     assert np.abs(both_ways(v, rate, 10.0) - expected).max() < 1e-9 * np.abs(v).max()
     longer = np.concatenate((v, np.full(SHORT, v[-1])))     # filtered by scipy itself
     assert high_passed(longer, rate).shape == longer.shape
+    for whole in (v, longer):       # what is left out changes nothing of the rest
+        for since in (0, 1, length // 2, length - 1):
+            assert np.array_equal(high_passed(whole, rate, since=since),
+                                  high_passed(whole, rate)[since:])

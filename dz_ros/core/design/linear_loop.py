@@ -240,12 +240,8 @@ def noise_of_surface(model: LayerModel, lambda_: float, period: float, beta: flo
                            + np.square(weights @ found.direct * scale).sum()))
 
 
-def _radii(model: LayerModel, period: float, delay: int,
-           observer: LinearObserver | None) -> Callable[[Array], Array]:
+def _radii(parts: tuple[Array, Array, Array, Array], delay: int) -> Callable[[Array], Array]:
     """Return the function that gives the spectral radii at some β, shape (m,) → (m,)."""
-    with np.errstate(over='ignore', invalid='ignore'):
-        parts = _parts(model, period, delay, observer)
-
     def radii(betas: Array) -> Array:
         with np.errstate(over='ignore', invalid='ignore'):
             matrices = _matrices(parts, betas, delay)
@@ -266,10 +262,12 @@ def _radii(model: LayerModel, period: float, delay: int,
 def spectral_radius(model: LayerModel, period: float, beta: float, delay: int,
                     observer: LinearObserver | None = None) -> float:
     """Return the spectral radius of `loop_matrix`; below 1 the loop is calm, inf = no number."""
-    return float(_radii(model, period, delay, observer)(np.array([beta]))[0])
+    with np.errstate(over='ignore', invalid='ignore'):
+        parts = _parts(model, period, delay, observer)
+    return float(_radii(parts, delay)(np.array([beta]))[0])
 
 
-def _largest(radii: Callable[[Array], Array], unit: float) -> float:
+def _largest(radii: Callable[[Array], Array], unit: float, limit: float = math.inf) -> float:
     """Return the largest value within `GRID` up to which the loop is calm; 0 = for none.
 
     A loop that is not calm at low values is judged by its upper limit: a grid is tried from its
@@ -279,8 +277,17 @@ def _largest(radii: Callable[[Array], Array], unit: float) -> float:
     Args:
         radii: Spectral radii at some values, shape (m,) → (m,).
         unit: Half the upper end of the grid.
+        limit: No larger value is calm; most often the margin, so it is tried first.
     """
     grid = GRID * unit
+    place = int(grid.searchsorted(limit))
+    if 0 < place < POINTS:
+        below, above = float(grid[place - 1]), float(grid[place])
+        ends = _around(*_halved(below, above, limit.__gt__))
+        lowest, *calm = radii(np.array([below, *ends])).tolist()
+        end = _last_calm(ends, calm)
+        if lowest < 1.0 and end is not None:
+            return _halved(below, above, end.__ge__)[0]
     found: list[float] = []
     for begin in range(POINTS - TOGETHER, -1, -TOGETHER):
         found = [*radii(grid[begin:begin + TOGETHER]).tolist(), *found]
@@ -300,12 +307,12 @@ def _largest(radii: Callable[[Array], Array], unit: float) -> float:
             break
         end, step = _halved(below, above, guess.__gt__)
         first = reach > 1e-4        # too early to be where bisections end
-        ends = [guess] if first else [end + i * step for i in (-1.0, 0.0, 1.0, 2.0)]
+        ends = [guess] if first else _around(end, step)
         tried = ends + ([guess * (1.0 - reach), guess * (1.0 + reach)] if reach > 1e-12 else [])
         calm = radii(np.array(tried)).tolist()
-        for value, radius, after in zip(ends[:-1], calm, calm[1:], strict=False):
-            if radius < 1.0 <= after:
-                return _halved(below, above, value.__ge__)[0]
+        last_calm = _last_calm(ends, calm)
+        if last_calm is not None:
+            return _halved(below, above, last_calm.__ge__)[0]
         pairs = sorted(zip(tried, calm, strict=True))
         if len({value for value, _ in pairs[1:-1]}) == 4 and reach > 1e-12:
             pairs = [pairs[0], pairs[2], pairs[-1]]
@@ -325,6 +332,17 @@ def _halved(below: float, above: float, calm: Callable[[float], bool]) -> tuple[
     return below, above - below
 
 
+def _around(end: float, step: float) -> list[float]:
+    """Return ends of bisections, a step apart, about one of them."""
+    return [end - step, end, end + step, end + 2.0 * step]
+
+
+def _last_calm(ends: Sequence[float], radii: Sequence[float]) -> float | None:
+    """Return the end after which the next one is not calm; None = none of these."""
+    return next((end for end, radius, after in zip(ends[:-1], radii, radii[1:], strict=False)
+                 if radius < 1.0 <= after), None)
+
+
 def _crossing(values: Sequence[float], radii: Sequence[float]) -> float | None:
     """Return where the radius passes 1, by Neville's inverse interpolation; None = not smooth."""
     excess, found = [radius - 1.0 for radius in radii], list(values)
@@ -341,7 +359,22 @@ def largest_beta(model: LayerModel, period: float, delay: int,
     """Return the largest β without chatter [unit of x^(n) per actuator unit]; 0 = none."""
     # Without delay, memory and observer the loop ends at slope β T = 2.
     unit = 2.0 / (abs(float(model.d[-1])) * period)
-    return _largest(_radii(model, period, delay, observer), unit)
+    with np.errstate(over='ignore', invalid='ignore'):
+        parts = _parts(model, period, delay, observer)
+    return _largest(_radii(parts, delay), unit, _negative_from(parts, unit, delay))
+
+
+def _negative_from(parts: tuple[Array, Array, Array, Array], unit: float, delay: int) -> float:
+    """Return the β above which det(I + A) is negative, so that the loop is not calm; inf = none.
+
+    The determinant is that of a change of rank one, linear in β. It is the product of all 1 + z, z
+    the eigenvalues, and positive where each |z| < 1 (the first of Jury's conditions).
+    """
+    with np.errstate(over='ignore', invalid='ignore'):
+        matrices = _matrices(parts, np.array([0.0, unit]), delay)
+        at_zero, at_unit = np.linalg.det(matrices + np.eye(len(parts[0]))).tolist()
+    fall = at_zero - at_unit
+    return unit * at_zero / fall if at_zero > 0.0 and 0.0 < fall < math.inf else math.inf
 
 
 def largest_gain(model: Callable[[float], LayerModel | None], period: float, beta: float,
