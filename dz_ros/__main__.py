@@ -6,8 +6,11 @@ a traceback. ``dz`` (`scripts/dz`) therefore holds it back until `main` can answ
 ``python -m dz_ros`` does not.
 """
 
+import atexit
 import os
 import sys
+
+INTERRUPTED = 130       # as in dz_ros.cli.interrupt, which takes long to import
 
 
 def main() -> int:
@@ -15,10 +18,24 @@ def main() -> int:
     # Built in: signal imports others, and a folder could shadow it.
     import _signal  # type: ignore[import-not-found]
 
+    code = 0
+
     def end(_number: int, _frame: object) -> None:
         os.write(2, b'dz: interrupted\n')
-        os._exit(130)
+        os._exit(INTERRUPTED)
 
+    def leave() -> None:
+        # What was interrupted half-made, such as code being compiled, can crash Python as it takes
+        # its modules down. The first function registered runs when all others have.
+        if code == INTERRUPTED:
+            from contextlib import suppress
+
+            for stream in (sys.stdout, sys.stderr):
+                with suppress(OSError):
+                    stream.flush()
+            os._exit(code)
+
+    atexit.register(leave)
     if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
         _signal.signal(_signal.SIGINT, end)
     _signal.pthread_sigmask(_signal.SIG_UNBLOCK, (_signal.SIGINT,))
@@ -35,7 +52,7 @@ def main() -> int:
         exec('')
         return code
     except KeyboardInterrupt:       # while the end of an earlier one, or of the program, was made
-        os._exit(130)
+        os._exit(INTERRUPTED)
 
 
 if __name__ == '__main__':

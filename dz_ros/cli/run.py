@@ -20,6 +20,7 @@ import threading
 import time
 from typing import Any
 
+from dz_ros.cli.interrupt import INTERRUPTED
 from dz_ros.cli.options import (
     add_address,
     add_configuration,
@@ -180,7 +181,7 @@ class _Loop:
             return 2 if 2 in self._failed.values() else 1
         if failed:
             return 1
-        return 130 if self._interrupted and self._configuration.loop.duration else 0
+        return INTERRUPTED if self._interrupted and self._configuration.loop.duration else 0
 
     def _verdict(self) -> bool:
         """Print the verdict on the run and what to do next; return whether it failed."""

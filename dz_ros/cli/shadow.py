@@ -11,6 +11,7 @@ from pathlib import Path
 import tempfile
 from typing import Any
 
+from dz_ros.cli.interrupt import INTERRUPTED
 from dz_ros.cli.options import read_recording, refuse_existing
 from dz_ros.cli.output import aligned, note, print_lines
 from dz_ros.cli.processes import Nodes, ParameterFiles
@@ -98,7 +99,7 @@ def _feed(arguments: argparse.Namespace, recorded: RunData, live: Configuration,
                      'controller_node': common, feeder: [*words, '--params-file', feeding]})
         codes = [nodes.wait(feeder), nodes.end('controller_node'), nodes.end('recorder_node')]
         if nodes.interrupted:
-            return 130
+            return INTERRUPTED
     failed = [code for code in codes if code]
     return 0 if not failed else 2 if 2 in failed else 1
 

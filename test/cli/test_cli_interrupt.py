@@ -108,6 +108,24 @@ def test_an_interrupt_inside_an_exec_of_text_ends_with_the_code_too(tmp_path):
     assert done.stderr.count('\n') == 1
 
 
+def test_an_interrupt_ends_with_its_code_even_where_the_end_of_python_would_crash(tmp_path):
+    # As it can after an interrupt while code was being compiled.
+    program = ('import atexit, os, sys, dz_ros.cli.main as m, dz_ros.__main__ as d\n'
+               'class HalfMade:\n'
+               '    def __del__(self, crash=os.abort):\n'
+               '        crash()\n'
+               'def work(words):\n'
+               '    print("half done")\n'
+               '    sys.half_made = HalfMade()\n'
+               '    atexit.register(print, "tidied up")\n'
+               '    raise KeyboardInterrupt("nothing is kept")\n'
+               'm._run = work\nsys.exit(d.main())\n')
+    done = subprocess.run([sys.executable, '-c', program], cwd=tmp_path, capture_output=True,
+                          text=True, check=False, env={**os.environ, 'PYTHONPATH': ROOT})
+    assert (done.returncode, done.stdout) == (130, 'half done\ntidied up\n'), done.stderr
+    assert done.stderr == 'dz: interrupted: nothing is kept\n'
+
+
 @pytest.mark.parametrize('verb', ['simulate', 'tune'])
 def test_interrupts_while_it_ends_change_nothing(verb, tmp_path):
     process = start(LONG[verb], tmp_path, 'dz_ros.core.laws')

@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from dz_ros.cli.interrupt import INTERRUPTED
 from dz_ros.cli.options import add_allow_import
 from dz_ros.cli.processes import check_rclpy, Nodes, ParameterFiles
 from dz_ros.errors import ConfigurationError
@@ -86,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
         nodes.start({'replay_node': ['--params-file', files.add_parameters(parameters), *words]})
         code = nodes.wait('replay_node')
         if nodes.interrupted and code == 0 and not arguments.loop:
-            return 130
+            return INTERRUPTED
         return code if code >= 0 else 1
 
 
