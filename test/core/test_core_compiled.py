@@ -11,7 +11,7 @@ import pytest
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.laws import LAWS
 from dz_ros.core.loop import compiled as module
-from dz_ros.core.loop.compiled import simulate_fast
+from dz_ros.core.loop.compiled import simulate_fast, simulate_quick
 from dz_ros.core.loop.offline import simulate
 from dz_ros.core.plants import PLANTS
 from dz_ros.core.plants.wang2004 import Wang2004
@@ -73,6 +73,25 @@ def test_a_plant_that_allocates_is_compiled_all_the_same():
     wasteful = dataclasses.replace(paper, plant=Allocating(paper.plant.parameters))
     for _ in range(2):      # the second run uses what the first one compiled
         assert np.array_equal(simulate_fast(wasteful).x, simulate(paper).x)
+
+
+class Refused(Wang2004):
+    """The paper's plant, in Python that numba cannot compile."""
+
+    @staticmethod
+    def regressors(x, p, y):
+        y[0] = -math.tanh(0.5 * math.fsum((x[0],)))
+        y[1] = (x[0] * x[0] + 2.0 * x[0]) * math.sin(x[0])
+
+
+@pytest.mark.slow
+def test_a_plant_that_numba_refuses_is_simulated_in_plain_python():
+    errors = pytest.importorskip('numba.core.errors', reason='numba is not installed')
+    paper = Configuration.from_flat({'loop.duration': 1.0})
+    refused = dataclasses.replace(paper, plant=Refused(paper.plant.parameters))
+    with pytest.raises(errors.NumbaError):
+        simulate_fast(refused)
+    assert np.array_equal(simulate_quick(refused).x, simulate(paper).x)
 
 
 def test_without_numba_the_plain_loop_answers(monkeypatch):

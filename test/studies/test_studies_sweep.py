@@ -24,12 +24,6 @@ BASE = Configuration.from_flat({'loop.duration': 2.0, 'plant.substeps': 1,
                                 'plant.noise': [0.0, 0.0]}).to_flat()
 
 
-@pytest.fixture(autouse=True)
-def plain(monkeypatch):
-    """Compile nothing in this process: the runs are short."""
-    monkeypatch.setattr('dz_ros.core.loop.compiled.available', lambda: False)
-
-
 def plan_of(*axes, **settings):
     return SweepPlan(BASE, parse_axes(axes), **settings)
 

@@ -22,9 +22,8 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(autouse=True)
-def plain(monkeypatch):
-    """Compile nothing: the runs are short."""
-    monkeypatch.setattr('dz_ros.core.loop.compiled.available', lambda: False)
+def plain_processes():
+    """Loops are compiled: a search runs some dozens of each kind."""
 
 
 def tuned(name='wang2004', *overrides, **settings):

@@ -36,9 +36,8 @@ MEASURED = {'cia402': True, 'joint': 2, 'serial': 2}
 
 
 @pytest.fixture(autouse=True)
-def plain(monkeypatch):
-    """Compile nothing: the runs are short."""
-    monkeypatch.setattr('dz_ros.core.loop.compiled.available', lambda: False)
+def plain_processes():
+    """Loops are compiled: a search runs some dozens of each kind."""
 
 
 def encoder(name, *overrides):

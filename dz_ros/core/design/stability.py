@@ -8,6 +8,7 @@ largest λ; it is found by simulation from the initial state, without the config
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 import math
 
@@ -18,6 +19,7 @@ from dz_ros.core.configuration import Configuration
 from dz_ros.core.deadzone import rho
 from dz_ros.core.design.along_reference import disturbance_along_reference
 from dz_ros.core.design.robust_gain import least_robust_gain
+from dz_ros.core.loop.compiled import simulate_quick
 from dz_ros.core.loop.offline import Run, simulate
 from dz_ros.core.tracking import guaranteed_bounds
 from dz_ros.errors import ConfigurationError
@@ -26,15 +28,20 @@ LONG_ENOUGH = 10.0
 """A loop that is lost from its initial state shows it within this [s]."""
 
 
-def is_lost(configuration: Configuration) -> bool:
+def is_lost(configuration: Configuration,
+            simulated: Callable[[Configuration], Run] = simulate) -> bool:
     """Return whether a simulated loop fails to follow its reference.
 
     It overflows, or in the last tenth of the run the error of some state is larger than its
     initial error, than the reference's own excursion, and than what Ω_ε and an uncompensated
     dead-zone leave together.
+
+    Args:
+        configuration: The loop.
+        simulated: What simulates it.
     """
     try:
-        run = simulate(configuration)
+        run = simulated(configuration)
     except (ArithmeticError, ValueError):   # math.sin(inf) and the like
         return True
     return run_is_lost(run)
@@ -105,7 +112,7 @@ def lambda_limit(configuration: Configuration, highest: float = 64.0, resolution
             tried = base.replace(**{'controller.lambda': lambda_})
         except ConfigurationError:
             return True
-        return is_lost(tried)
+        return is_lost(tried, simulate_quick)
 
     low = float(configuration.law.gains.lambda_)
     smallest = 0.001 * low

@@ -21,7 +21,7 @@ from typing import Any, cast
 
 from dz_ros.core.configuration import Configuration
 from dz_ros.core.loop.code_store import CodeStore, StoredCode, UnnamedError
-from dz_ros.core.loop.offline import Loop, make_loop, prepare, Run
+from dz_ros.core.loop.offline import Loop, make_loop, prepare, Run, simulate
 from dz_ros.core.loop.scalar_compiler import compilers
 from dz_ros.errors import MissingDependencyError
 
@@ -171,6 +171,23 @@ def simulate_fast(configuration: Configuration,
                   memory: Sequence[float] | None = None) -> Run:
     """Return `simulate`'s run, compiled where numba is installed, in plain Python elsewhere."""
     return prepare_fast(configuration, memory)()
+
+
+def simulate_quick(configuration: Configuration) -> Run:
+    """Return `simulate`'s run in the form that is quicker in this process.
+
+    Compiled where numba has been imported or what it compiles is kept (`keep_in`), unless numba
+    refuses a law or plant of the user's own. The numbers are the same.
+
+    Raises:
+        OverflowError, ValueError: As `simulate`; compiled, more runs end in infinities or NaN.
+    """
+    if available() and (_stores or 'numba' in sys.modules):
+        from numba.core.errors import NumbaError
+
+        with suppress(NumbaError):
+            return simulate_fast(configuration)
+    return simulate(configuration)
 
 
 def prepare_fast(configuration: Configuration,
