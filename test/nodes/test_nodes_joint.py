@@ -518,7 +518,8 @@ def test_its_dead_zone_is_found(processes, watcher, robot, tmp_path):
     for attempt in range(4):
         out = tmp_path / f'found{attempt}'
         found = processes('-m', 'dz_ros', 'driver', 'identify', CONFIG, '--travel', '3', '--speed',
-                          '2', '--effort', '4', '--repeats', '4', '--yes', '--out', out,
+                          '2', '--effort', '4', '--repeats', '4', '--ramp', '2', '--pause', '0.3',
+                          '--yes', '--out', out,
                           '--set', 'driver.fresh=20', '--set', 'safety.state_hold=10000',
                           '--set', 'safety.fault_after=20000')
         code = found.wait(300.0)
