@@ -85,12 +85,14 @@ class Refused(Wang2004):
 
 
 @pytest.mark.slow
-def test_a_plant_that_numba_refuses_is_simulated_in_plain_python():
+def test_a_plant_that_numba_refuses_is_simulated_in_plain_python(monkeypatch):
     errors = pytest.importorskip('numba.core.errors', reason='numba is not installed')
     paper = Configuration.from_flat({'loop.duration': 1.0})
     refused = dataclasses.replace(paper, plant=Refused(paper.plant.parameters))
     with pytest.raises(errors.NumbaError):
         simulate_fast(refused)
+    assert np.array_equal(simulate_quick(refused).x, simulate(paper).x)
+    monkeypatch.setattr(module, 'simulate_fast', lambda _: pytest.fail('refused a second time'))
     assert np.array_equal(simulate_quick(refused).x, simulate(paper).x)
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`dz driver commission --live`: the steps are started, confirmed and stopped in the page.
 
-Other devices are commissioned without it: `test_nodes_commission`.
+Over 300 lines: one page and its helpers serve the steps with every kind of device.
 """
 
 import json
@@ -94,6 +94,32 @@ def fill(page, **values):
         page.fill(f'#commission-form input[name={name}]', str(value))
 
 
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.parametrize('serial_device', ['emulated'], indirect=True)
+def test_a_serial_device_ends_in_a_loop_that_tracks(commission, serial_device,
+                                                    serial_settings, axe):
+    page, process, out = begin_with(commission, 'serial', serial_settings)
+    assert page.evaluate(f"{item('sign')}.querySelector('button').disabled")
+    for value, words in ((2, '--effort = None: must be given'), ('far', "--travel = 'far'")):
+        fill(page, travel=value, speed=2, **({} if value == 2 else {'effort': 6}))
+        begin(page, 'limits')
+        page.until(f"""document.querySelector('#commission-answer').textContent
+            .includes("{words}")""")
+    fill(page, travel=2)
+    ends_in_a_loop_that_tracks(page, process, out, axe)
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+@pytest.mark.parametrize('device', ['cia402', 'joint'])
+def test_a_drive_on_a_bus_or_a_joint_ends_in_a_loop_that_tracks(request, commission, device, axe):
+    own = request.getfixturevalue(f'{device}_settings')
+    page, process, out = begin_with(commission, device, own)
+    fill(page, travel=2, speed=2, effort=6)
+    ends_in_a_loop_that_tracks(page, process, out, axe)
+
+
 def made(page, step):
     """Make a step, again where a stall may have spoilt it; return its last outcome."""
     for _ in range(TRIES):
@@ -107,23 +133,18 @@ def made(page, step):
     return outcome
 
 
-@pytest.mark.ros
-@pytest.mark.slow
-@pytest.mark.parametrize('serial_device', ['emulated'], indirect=True)
-def test_a_serial_device_ends_in_a_loop_that_tracks(commission, serial_device,
-                                                    serial_settings, axe):
-    page, process, out = commission('serial', *settings(*serial_settings), '--repeats', '4',
-                                    '--ramp', '2', '--pause', '0.2', '--loop-duration', '12')
-    assert page.evaluate(f"{item('sign')}.querySelector('button').disabled")
-    for value, words in ((2, '--effort = None: must be given'), ('far', "--travel = 'far'")):
-        fill(page, travel=value, speed=2, **({} if value == 2 else {'effort': 6}))
-        begin(page, 'limits')
-        page.until(f"""document.querySelector('#commission-answer').textContent
-            .includes("{words}")""")
-    fill(page, travel=2)
+def begin_with(commission, device, own):
+    """Start the commissioning of a device in its page, without limits."""
+    return commission(device, *settings(*own), '--repeats', '4', '--ramp', '2',
+                      '--pause', '0.2', '--loop-duration', '12')
+
+
+def ends_in_a_loop_that_tracks(page, process, out, axe):
+    """Make every step in the page, one of them twice, and check what came of them."""
     assert make(page, 'limits', False) == 'done'
     for step in STEPS[1:]:
-        assert made(page, step) == 'done', (page.inner_text(f'#commission-{step}'), process.output)
+        outcome = made(page, step)
+        assert outcome == 'done', (step, page.inner_text(f'#commission-{step}'), process.output)
         if step == 'sensor':        # another viewer, or the same one later, sees the same
             page.reload()
             page.until(f"{item('sensor')}?.dataset.outcome === 'done'")

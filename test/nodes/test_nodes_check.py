@@ -73,11 +73,11 @@ def test_a_broken_node_fails_the_check_that_is_for_it(processes, path, flaw, nam
     processes(Path(__file__).with_name('broken_driver.py'), flaw, PYTHONPATH=path)
     kit = processes(*DZ, '--topics', '--config', 'first_order', '--yes', '--json', '--saturate',
                     '--set', 'safety.command_limit=30', PYTHONPATH=path)
-    found = json.loads(kit.wait_for_line(f'"name": "{name}"', TIME_OUT))
-    assert found['passed'] is False, kit.output
-    assert found['words']
-    if name == NAMES[-1]:       # what comes after it is of other nodes
-        assert kit.wait(TIME_OUT) == 1
+    code, found = kit.wait(TIME_OUT), results(kit)
+    assert name in found, kit.output
+    assert found[name]['passed'] is False, words(found)
+    assert found[name]['words']
+    assert code == 1
 
 
 def test_every_axis_of_a_node_passes_from_outside(processes, tmp_path):

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`dz driver commission` on emulated devices: it ends in a loop that tracks.
-
-A device on a serial line is commissioned in the page: `test_live_commission`.
-"""
+"""`dz driver commission` on emulated devices: it ends in a loop that tracks."""
 
 import json
 
@@ -58,6 +55,11 @@ def tracks(out, attempts):
     for step in ('sign', 'sensor', 'identify', 'loop'):
         assert len(read_run(out / newest[step]['folder'] / 'run').channels['state']) > 100
     assert (out / newest['report']['result']['page']).is_file()
+
+
+@pytest.mark.parametrize('serial_device', ['emulated'], indirect=True)
+def test_a_serial_device(commission, serial_device, serial_settings):
+    tracks(*commission('serial', serial_settings))
 
 
 def test_a_cia402_drive(commission, cia402_settings):

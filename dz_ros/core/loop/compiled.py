@@ -30,6 +30,8 @@ loops: dict[tuple[Any, ...], Loop] = {}
 
 
 _stores: list[CodeStore] = []
+_refused: set[tuple[Any, ...]] = set()
+"""What numba could not compile, as in `loops`."""
 
 
 def keep_in(store: CodeStore | None) -> None:
@@ -151,6 +153,12 @@ def _compiled_loop(configuration: Configuration) -> Loop:
     return run
 
 
+def _kind(c: Configuration) -> tuple[Any, ...]:
+    """Return what a loop is compiled for."""
+    return (type(c.law).kernel, type(c.plant).regressors, type(c.plant).disturbance,
+            type(c.plant).sticking, type(c.trajectory).evaluate, c.driver_settings.observer_kind)
+
+
 def compiled_loop(configuration: Configuration) -> Loop:
     """Return the compiled loop for a configuration's law, plant and trajectory.
 
@@ -159,11 +167,9 @@ def compiled_loop(configuration: Configuration) -> Loop:
     """
     if not available():
         raise _not_installed()
-    c = configuration
-    key = (type(c.law).kernel, type(c.plant).regressors, type(c.plant).disturbance,
-           type(c.plant).sticking, type(c.trajectory).evaluate, c.driver_settings.observer_kind)
+    key = _kind(configuration)
     if key not in loops:
-        loops[key] = _compiled_loop(c)
+        loops[key] = _compiled_loop(configuration)
     return loops[key]
 
 
@@ -182,11 +188,14 @@ def simulate_quick(configuration: Configuration) -> Run:
     Raises:
         OverflowError, ValueError: As `simulate`; compiled, more runs end in infinities or NaN.
     """
-    if available() and (_stores or 'numba' in sys.modules):
+    kind = _kind(configuration)
+    if available() and (_stores or 'numba' in sys.modules) and kind not in _refused:
         from numba.core.errors import NumbaError
 
-        with suppress(NumbaError):
+        try:
             return simulate_fast(configuration)
+        except NumbaError:
+            _refused.add(kind)      # to be refused takes longer than a run
     return simulate(configuration)
 
 
